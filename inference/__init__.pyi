@@ -9,8 +9,11 @@ from .execution.executors import open_executor as open_executor
 from .execution.executors import process_pool as process_pool
 from .filters.backward_simulation import backward_simulation as backward_simulation
 from .filters.backward_simulation import genealogy as genealogy
+from .filters.best_guide import Guide as Guide
+from .filters.best_guide import best_guide as best_guide
 from .filters.bootstrap import Bootstrap as Bootstrap
 from .filters.controlled import Controlled as Controlled
+from .filters.defended import Defended as Defended
 from .filters.filtering import SMCOptions as SMCOptions
 from .filters.filtering import adapted_smoother as adapted_smoother
 from .filters.filtering import run_filters as run_filters
@@ -23,6 +26,7 @@ from .filters.proposal import Proposal as Proposal
 from .filters.resampling import RESAMPLERS as RESAMPLERS
 from .filters.resampling import ess as ess
 from .filters.resampling import resample as resample
+from .filters.second_opinion import Evidence as Evidence
 from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
@@ -44,6 +48,7 @@ from .methods.variational_smc import vsmc as vsmc
 from .posterior.initialise import Problem as Problem
 from .posterior.initialise import arm_problem as arm_problem
 from .posterior.mechanics import mechanics as mechanics
+from .posterior.posterior import evidence_note as evidence_note
 from .posterior.posterior import load_posterior as load_posterior
 from .posterior.posterior import pooled as pooled
 from .posterior.posterior import save_posterior as save_posterior

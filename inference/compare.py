@@ -106,7 +106,7 @@ def compare(
                 scored, *_ = launch(head, method, progress=named(progress, f"{method} without the tail"))
                 found.rows[method]["log_score"] = log_score(future, scored, whole.path, seed)
             except Exception as error:  # the others are still scored
-                found.notes[method] = f"no log score: {first_line(error)}"
+                found.note(method, f"no log score: {first_line(error)}")
     if missing:
         found.notes["all"] = f"no log score: {missing}"
     seen = 0 if head is None else _seen(whole, head)

@@ -5,6 +5,8 @@ Each row is a method:
     <name>_rmse, _crps, _coverage_50, _coverage_90    of a torque or state against the truth, if known (:mod:`.scores`)
     log_evidence, log_evidence_sd, evidence_kind      nats, Monte Carlo standard error; "estimate": unbiased estimate
                                                       of the evidence, "bound": from below, "approximation", or ""
+    usable                                            whether the evidence stands (:mod:`.second_opinion`); where it
+                                                      does not, a note says why and its error is NaN
     replicates, replicates_sd                         runs with other seeds, and the sd of their log-evidence
     log_score                                         nats per held-out row (:mod:`.held_out`), where it is asked for
     elpd_loo, elpd_loo_se, pareto_k                   leave-one-row-out by PSIS, nats; the largest k of a row
@@ -38,6 +40,7 @@ import torch
 
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
+from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.recordings.errors import first_line
 
 MAX_MONITORED = 200
@@ -47,7 +50,7 @@ REPLICATES = 71
 """Place of the seeds of replicates (:func:`.seeds.derived`)."""
 
 COLUMNS = (
-    *("log_evidence", "log_evidence_sd", "evidence_kind", "replicates", "replicates_sd", "log_score"),
+    *("log_evidence", "log_evidence_sd", "evidence_kind", "usable", "replicates", "replicates_sd", "log_score"),
     *("elpd_loo", "elpd_loo_se", "pareto_k", "outer_ess", "r_hat", "ess_bulk", "ess_tail", "mcse"),
     *("seconds", "ess_per_second", "memory"),
 )
@@ -124,12 +127,17 @@ class Rows:
     failures: dict[str, str]
     notes: dict[str, str]
 
+    def note(self, method: str, note: str) -> None:
+        """Add a note on a method to those that it has."""
+        self.notes[method] = "; ".join(filter(None, [self.notes.get(method, ""), note]))
+
     def table(self) -> pd.DataFrame:
         """One row a method: the columns at the top of the file, and the reason of a failure."""
         found = [name for row in self.rows.values() for name in row if name not in COLUMNS]
         order = [*dict.fromkeys(found), *COLUMNS]
         table = pd.DataFrame.from_dict(self.rows, orient="index").reindex(columns=order)
         table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
+        table["usable"] = table["usable"].astype(object)
         table["failure"] = [self.failures.get(method, "") for method in table.index]
         table.index.name = "method"
         return table
@@ -167,6 +175,8 @@ def run_methods(
             found.failures[method] = f"{type(error).__name__}: {first_line(error)}"
             continue
         found.posteriors[method] = idata
+        if doubt := evidence_note(idata):
+            found.note(method, f"evidence {doubt}")
         row: Row = {**scores(idata), **evidence(idata), **mixing_figures(idata, monitored(idata)), **loo(idata)}
         row |= {"seconds": seconds, "memory": memory, "ess_per_second": row["ess_bulk"] / seconds}
 
@@ -177,7 +187,7 @@ def run_methods(
                 again, *_ = launch(other, method, progress=named(progress, f"{method} again"), **places)
                 values.append(again.attrs["log_evidence"])
         except Exception as error:
-            found.notes[method] = f"replicate {len(values) + 1} failed: {first_line(error)}"
+            found.note(method, f"replicate {len(values) + 1} failed: {first_line(error)}")
         spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
         found.rows[method] = row | {"replicates": len(values), "replicates_sd": spread}
     return found
@@ -238,10 +248,12 @@ def evidence(idata: az.InferenceData) -> dict[str, object]:
         kind = "estimate"
     else:
         kind = "bound" if statistics.attrs.get("bound", 0) else "approximation"
+    usable = not evidence_note(idata)
     return {
         "log_evidence": found["log_evidence"],
-        "log_evidence_sd": found["log_evidence_sd"],
+        "log_evidence_sd": found["log_evidence_sd"] if usable else math.nan,
         "evidence_kind": kind,
+        "usable": usable,
         "outer_ess": found["outer_ess"] if "ess" in statistics else math.nan,
     }
 

@@ -6,9 +6,7 @@ import torch
 from torch.distributions import Distribution
 
 from invdyn.inference.probe import Probe
-from invdyn.models.observation.missing import gaussian_rows
 from invdyn.models.state_space import gaussian_moments
-from invdyn.recordings.errors import first_line
 
 SAME = 1e-6
 """Relative difference up to which two covariances are equal."""
@@ -52,22 +50,6 @@ def _constant_covariance(probe: Probe) -> None:
         raise probe.error("transition", expected, "one that does", "use the bootstrap guide")
 
 
-def _gaussian_emission(probe: Probe) -> None:
-    try:
-        gaussian_rows(probe.emission.distribution, probe.emission.value)
-    except TypeError as error:
-        expected, got = "a family with a Gaussian approximation", first_line(error)
-        raise probe.error("emission", expected, got, "use the bootstrap guide") from None
-
-
-def _informative_mean(probe: Probe) -> None:
-    base = _base(probe.emission.distribution)
-    mean = base.loc if hasattr(base, "loc") else base.mean
-    if not bool((mean != mean[:1]).any()):
-        expected, got = "a mean that depends on the state", "the same mean for all states"
-        raise probe.error("emission", expected, got, "use the bootstrap guide, which sees scales too")
-
-
 def _transition_density(probe: Probe) -> None:
     if probe.transition is None:
         return
@@ -81,8 +63,6 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
     "continuous_state": _continuous_state,
     "gaussian_transition": _gaussian_transition,
     "constant_covariance": _constant_covariance,
-    "gaussian_emission": _gaussian_emission,
-    "informative_mean": _informative_mean,
     "transition_density": _transition_density,
 }
 """Preconditions by name, in the order in which they are checked:
@@ -90,10 +70,8 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
 * ``continuous_state``: states are real numbers;
 * ``gaussian_transition``: ``initial`` and ``transition`` are Normal or MultivariateNormal;
 * ``constant_covariance``: and the transition's covariance does not depend on the state;
-* ``gaussian_emission``: :func:`.missing.gaussian_rows` has a Gaussian approximation of the emission;
-* ``informative_mean``: the emission's mean depends on the state;
 * ``transition_density``: the transition has a finite density wherever it draws.
 """
 
-LINEARISING = {"gaussian_transition", "constant_covariance", "gaussian_emission", "informative_mean"}
+LINEARISING = {"gaussian_transition", "constant_covariance"}
 """Needs of methods that linearise, which compute on the CPU in float64."""

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from invdyn.inference import pooled
+from invdyn.inference import evidence_note, pooled
 from invdyn.recordings import atomic_path
 
 # Okabe and Ito's colours: told apart by the colour-blind too.
@@ -269,7 +269,8 @@ def heading(idata: az.InferenceData) -> str:
     method, evidence, size = (idata.attrs[name] for name in ("method", "log_evidence", "outer_ess"))
     filters = idata["sample_stats"].sizes["filter"]
     outer = f"outer sample size {size:.1f} of {filters} filters"
-    return f"method {method}   ·   log evidence {evidence:.1f}   ·   {outer}"
+    stated = "not usable" if evidence_note(idata) else f"{evidence:.1f}"
+    return f"method {method}   ·   log evidence {stated}   ·   {outer}"
 
 
 def legend_entries(idata: az.InferenceData) -> list[Artist]:

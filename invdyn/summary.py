@@ -10,7 +10,7 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
-from invdyn.inference import Comparison, learned_lengths, pooled
+from invdyn.inference import Comparison, evidence_note, learned_lengths, pooled
 
 from .plots import quantiles
 
@@ -81,7 +81,8 @@ def summary_text(idata: az.InferenceData) -> str:
     known = []
     if math.isfinite(evidence):
         bound = "bound of the " if idata["sample_stats"].attrs.get("bound", 0) else ""
-        known.append(f"{bound}log evidence {evidence:.2f}")
+        doubt = evidence_note(idata)
+        known.append(f"{bound}log evidence {doubt}" if doubt else f"{bound}log evidence {evidence:.2f}")
     if "ess" in idata["sample_stats"]:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
     unit = idata["posterior"][quantity].attrs["units"]
@@ -156,6 +157,8 @@ def _columns(table: pd.DataFrame, columns: tuple[tuple[str, str, int | None], ..
     shown = pd.DataFrame(index=table.index)
     for name, title, digits in columns:
         cells = [value if digits is None else f"{value:.{digits}f}" for value in table[name]]
+        if name == "log_evidence":
+            cells = ["not usable" if no else cell for cell, no in zip(cells, table["usable"].eq(False), strict=True)]
         if any(cell not in ("nan", "") for cell in cells):
             shown[title] = cells
     return _printed(shown.replace({"nan": "–", "": "–"}))

@@ -26,6 +26,7 @@ from torch import Tensor
 from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.bridge import Bridge
+from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import categorical
 from invdyn.inference.preconditions import NO_DENSITY
@@ -62,7 +63,8 @@ def backward_simulation(
         result: of a run that kept the rows wanted.
         observations: (T, O); the last W rows belong to the kept states.
         num_draws: R trajectories a filter.
-        smoother: Gauss–Newton result for the block moves; without it plain backward simulation.
+        smoother: Gauss–Newton result for the block moves, which need Gaussian dynamics with one covariance in all
+            states; without it, or for other dynamics, plain backward simulation.
         block: ℓ, states moved at once.
         progress: called with (rows done, rows in all).
         seed: of these draws' random numbers; by default torch's own go on.
@@ -91,7 +93,7 @@ def _backward(
     model = model.to(dtype=real, device=device)
     observations = observations.to(dtype=real, device=device)
     bridge = None
-    if smoother is not None and kept > block + 2:
+    if smoother is not None and kept > block + 2 and exact_closed_form(model, smoother.path):
         bridge = Bridge(model, observations, smoother, block)
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=device)

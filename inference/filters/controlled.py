@@ -30,16 +30,21 @@ class Controlled(Proposal):
     """Guide twisted by the Gaussian smoother's information; the default.
 
     Args:
-        model: with Gaussian transition noise whose covariance does not depend on the state.
+        model: with Gaussian transition noise whose covariance does not depend on the state: :mod:`.defended` takes
+            any other.
         observations: (T, O), NaN where missing.
         smoother: whose factors to twist by: Gauss–Newton's, or refitted ones (:mod:`.iterated`);
             Gauss–Newton's are computed when not given.
 
-    Raises ModelError for a model that does not fit the observations, or whose noise is not as said.
+    Raises ModelError for a model that does not fit the observations, or whose noise is not as said: its evidence would
+    be biased.
     """
 
+    one_gain = True
+    """Whether all particles of a row share a gain."""
+
     def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother | None = None):
-        observations = check_model(model, observations, needs=("constant_covariance",))
+        observations = check_model(model, observations, needs=("constant_covariance",) if self.one_gain else ())
         super().__init__(model)
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path

@@ -16,10 +16,12 @@ from invdyn.inference.execution.progress import Report
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation, genealogy
 from invdyn.inference.filters.bootstrap import Bootstrap
-from invdyn.inference.filters.controlled import Controlled
+from invdyn.inference.filters.defended import Defended, look_ahead
 from invdyn.inference.filters.iterated import iterate
+from invdyn.inference.filters.moment_matching import look_alike
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.proposal import Proposal
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.models import StateSpaceModel
@@ -85,15 +87,30 @@ class SMCOptions:
 def adapted_smoother(
     model: StateSpaceModel, observations: torch.Tensor, options: SMCOptions, start: torch.Tensor | None = None
 ) -> GaussianSmoother:
-    """What the controlled guide and the smoother use: factors refitted on pilot runs (:mod:`.iterated`).
+    """What the controlled guide and the smoother use: that of :func:`adapted`."""
+    return adapted(model, observations, options, start)[0]
+
+
+def adapted(
+    model: StateSpaceModel,
+    observations: torch.Tensor,
+    options: SMCOptions,
+    start: torch.Tensor | None = None,
+    blind: FilterResult | None = None,
+) -> tuple[GaussianSmoother, torch.Tensor | None]:
+    """A smoother with factors refitted on pilot runs (:mod:`.iterated`), and the log-evidences (M,) of its own, if any.
 
     The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
-    guides the steadier filters. Random numbers are torch's own (global seed).
+    guides the steadier filters. A bootstrap run ``blind`` that kept all rows gives a second path to begin at, its
+    likeliest, and points to refit on: where log p(x, y) has many modes a search from afar ends in any. Dynamics that
+    are not Gaussian are taken for their look-alike (:mod:`.moment_matching`) but in the pilots' weights. Random numbers
+    are torch's own (global seed).
     """
-    mode = gauss_newton(model, observations, start=start)
-    around = posterior_linearisation(model, observations, mode)
+    gaussian = look_alike(model)
+    starts = [start] if blind is None else [start, likeliest_line(model, observations, blind)]
+    smoothers = [each for begin in starts for each in _linearised(gaussian, observations, begin)]
     if options.refits == 0 or options.num_filters == 1:
-        return around
+        return max(smoothers[1::2], key=lambda each: float(each.log_joint)), None
 
     # Enough particles to fit a quadratic to, and no more than memory holds for every row.
     room = int(PILOT_PARTICLE_STEPS / (options.num_filters * len(observations)))
@@ -102,7 +119,24 @@ def adapted_smoother(
     def pilot(smoother: GaussianSmoother) -> FilterResult:
         return run_filters(model, observations, few, smoother=smoother)
 
-    return iterate(model, observations, [mode, around], pilot, iterations=options.refits)
+    seen = [] if blind is None else [blind]
+    return iterate(gaussian, observations, smoothers, pilot, iterations=options.refits, results=seen)
+
+
+def _linearised(
+    model: StateSpaceModel, observations: torch.Tensor, start: torch.Tensor | None
+) -> tuple[GaussianSmoother, GaussianSmoother]:
+    """At the mode, and over the posterior around it."""
+    mode = gauss_newton(model, observations, start=start)
+    return mode, posterior_linearisation(model, observations, mode)
+
+
+@torch.no_grad()
+def likeliest_line(model: StateSpaceModel, observations: torch.Tensor, result: FilterResult) -> torch.Tensor:
+    """Of a few ancestral lines (T, D) of each filter that with the highest log p(x, y)."""
+    lines = genealogy(result, 4).flatten(0, 1).cpu().double()
+    joint = model.to(dtype=torch.float64, device="cpu").log_joint(lines, observations.cpu().double())
+    return lines[int(joint.nan_to_num(-torch.inf).argmax())]
 
 
 def sufficient_dtype(smoother: GaussianSmoother) -> torch.dtype:
@@ -121,15 +155,19 @@ def run_filters(
     smoother: GaussianSmoother | None = None,
     keep: int | None = None,
     progress: Report | None = None,
+    kind: type[ParticleFilter] = ParticleFilter,
 ) -> FilterResult:
-    """Run M filters with ``guide`` "controlled" or "bootstrap"; see :meth:`ParticleFilter.run`."""
-    if guide == "controlled" and smoother is None:
+    """Run M filters with ``guide`` "controlled", "defended" or "bootstrap"; see :meth:`ParticleFilter.run`.
+
+    A controlled guide for dynamics that have no closed form is the defended one (:func:`.defended.look_ahead`).
+    """
+    if guide != "bootstrap" and smoother is None:
         smoother = adapted_smoother(model, observations, options)
     dtype = options.dtype or (torch.float32 if smoother is None else sufficient_dtype(smoother))
     fast = _in_type(model, observations, options, dtype)
     rows = check_model(fast, observations)
-    proposal = Bootstrap(fast) if smoother is None or guide == "bootstrap" else Controlled(fast, observations, smoother)
-    particle_filter = ParticleFilter(
+    proposal = _proposal(guide, fast, observations, smoother)
+    particle_filter = kind(
         fast,
         proposal,
         options.num_particles,
@@ -151,6 +189,14 @@ def _in_type(
         except ModelError:
             return model.to(device=options.device)  # what is wrong with this, too, is reported of it
     return fast
+
+
+def _proposal(
+    guide: str, model: StateSpaceModel, observations: torch.Tensor, smoother: GaussianSmoother | None
+) -> Proposal:
+    if smoother is None or guide == "bootstrap":
+        return Bootstrap(model)
+    return (Defended if guide == "defended" else look_ahead)(model, observations, smoother)
 
 
 def run_task(

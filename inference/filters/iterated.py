@@ -34,6 +34,7 @@ from torch import Tensor
 
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import Evidence, evidence, exceeds
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import conditional, eliminate, log_abs_det
 from invdyn.models.divergence import Singular, diverging
@@ -57,13 +58,15 @@ def iterate(
     *,
     iterations: int = 2,
     num_points: int = 3000,
-) -> GaussianSmoother:
+    results: Sequence[FilterResult] = (),
+) -> tuple[GaussianSmoother, Tensor]:
     """Return the smoother whose factors guide the steadiest filters, its factors refitted to the model.
 
-    The smoother whose pilot run has the smallest spread of log Ẑ is, unless that is next to nothing,
-    refitted ``iterations`` times, on the
-    particles of all pilot runs so far. The last refit is kept unless its own pilot is less steady than
-    that of the smoother it started from. Random numbers are torch's own (global seed).
+    Smoothers whose pilot run leaves a log Ẑ that is lower beyond errors are passed over: their filters miss a part of
+    the posterior, and agree on it. Of the others the one with the smallest sd of log Ẑ over filters is, unless that is
+    next to nothing, refitted ``iterations`` times, on the particles of all pilot runs so far. The last refit is kept
+    unless its own pilot is less steady, or lower, than that of the smoother it started from. Random numbers are
+    torch's own (global seed).
 
     Args:
         model: with Gaussian transition noise whose covariance does not depend on the state.
@@ -72,6 +75,9 @@ def iterate(
         pilot: runs at least two filters, guided by a smoother's factors, and keeps all rows.
         iterations: refits; each costs a pilot run and about twice as much again.
         num_points: n, particles of a row that a fit uses.
+        results: of other filters that kept all rows, whose particles count too.
+
+    Returns the smoother and the log-evidences (M,) of its pilot run.
 
     Raises SMCFailed when the pilots of all smoothers fail, ValueError without a smoother.
     """
@@ -83,10 +89,10 @@ def iterate(
             failure = error
     if not runs:
         raise failure
-    start, first = min(runs, key=lambda run: _spread(run[1]))
+    start, first = min(_not_lower(runs), key=lambda run: _spread(run[1]))
     if _spread(first) < STEADY:
-        return start
-    results = [result for _, result in runs]
+        return start, first.log_evidence
+    results = [*results, *(result for _, result in runs)]
     latest = start
     for _ in range(iterations):
         try:
@@ -95,9 +101,24 @@ def iterate(
                 latest = refit(model, observations, latest, results, num_points)
             results.append(pilot(latest))
         except (SMCFailed, FloatingPointError, Singular):
-            return start
+            return start, first.log_evidence
     # Not the smallest spread of all refits: a run that has missed a region looks the steadiest.
-    return latest if _spread(results[-1]) <= _spread(first) else start
+    if _spread(results[-1]) <= _spread(first) and not exceeds(_found(first), _found(results[-1])):
+        return latest, results[-1].log_evidence
+    return start, first.log_evidence
+
+
+Run = tuple[GaussianSmoother, FilterResult]
+
+
+def _not_lower(runs: Sequence[Run]) -> Sequence[Run]:
+    """Those pilot runs that the highest evidence of all does not exceed."""
+    highest = max(runs, key=lambda run: _found(run[1]).log_evidence)
+    return [run for run in runs if run is highest or not exceeds(_found(highest[1]), _found(run[1]))]
+
+
+def _found(result: FilterResult) -> Evidence:
+    return evidence(result.log_evidence, "controlled")
 
 
 def _spread(result: FilterResult) -> float:

@@ -7,7 +7,8 @@ trajectories by
     W_m = Ẑ_m / Σ Ẑ,      outer ESS = 1 / Σ W_m²,      Ẑ = (1/M) Σ Ẑ_m   (unbiased).
 
 An outer ESS near M says that every filter found the same posterior; one near 1 that a single
-lucky filter carries all of it.
+lucky filter carries all of it. Then its error cannot be estimated either: Ẑ_m/mean is M for one and 0 for
+all others whatever they are, whose "standard error" is 1.
 """
 
 import math
@@ -27,7 +28,8 @@ class OuterWeights:
         log_weights: (M,) normalised log W_m.
         ess: effective number of filters, 1 … M.
         log_evidence: log of the mean of the Ẑ_m.
-        log_evidence_sd: its Monte Carlo standard error, sd(Ẑ_m) / (√M mean(Ẑ_m)).
+        log_evidence_sd: its Monte Carlo standard error, sd(Ẑ_m) / (√M mean(Ẑ_m)); NaN of one filter, and where one
+            carries more than half of the estimate (``ess`` < 2).
         filter_sd: sd over filters of log Ẑ_m.
     """
 
@@ -45,6 +47,9 @@ def outer_weights(log_evidence: Tensor) -> OuterWeights:
     total = log_evidence.logsumexp(0)
     log_weights = log_evidence - total
     relative = torch.exp(log_weights) * count
-    error = relative.std().item() / math.sqrt(count) if count > 1 else math.nan
+    effective = ess(log_evidence).item()
+    # Two filters that nearly agree have an ESS just under two, and an error all the same.
+    known = count > 1 and (effective >= 2 or effective > 0.75 * count)
+    error = relative.std().item() / math.sqrt(count) if known else math.nan
     spread = log_evidence.std().item() if count > 1 else math.nan
-    return OuterWeights(log_weights, ess(log_evidence).item(), total.item() - math.log(count), error, spread)
+    return OuterWeights(log_weights, effective, total.item() - math.log(count), error, spread)

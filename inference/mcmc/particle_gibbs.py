@@ -31,7 +31,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.bridge import Bridge
-from invdyn.inference.filters.controlled import Controlled
+from invdyn.inference.filters.defended import look_ahead
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.particles import History, take
 from invdyn.inference.filters.proposal import Proposal
@@ -152,8 +152,8 @@ def run_chains(
     guide: Proposal = Bootstrap(model)
     bridge: Bridge | None = None
     if smoother is not None:
-        guide = Controlled(model, rows, smoother)
-        if len(rows) > BLOCK + 2 and options.device == "cpu":
+        guide = look_ahead(model, rows, smoother)
+        if len(rows) > BLOCK + 2 and options.device == "cpu" and guide.one_gain:
             bridge = Bridge(model, rows, smoother, BLOCK)
     size, threshold, kept = options.num_particles, options.ess_threshold, []
     with seeded(seed, options.device):

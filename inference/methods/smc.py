@@ -1,7 +1,8 @@
 """SMC as a method: filters, the outer sampler and smoothing, from a problem to InferenceData.
 
-Biderman et al. (2020) with two changes: the guide looks ahead (:mod:`.controlled`), and what is
-reported is the smoothed posterior (:mod:`.backward_simulation`), not the filter.
+Biderman et al. (2020) with three changes: the guide looks ahead (:mod:`.controlled`) where pilot runs bear it out
+(:mod:`.best_guide`), what is reported is the smoothed posterior (:mod:`.backward_simulation`), not the filter, and
+whether its evidence may be used (:mod:`.second_opinion`): attributes "usable", "doubt" and "guide" of sample_stats.
 """
 
 from concurrent.futures import Executor
@@ -14,13 +15,12 @@ import torch
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
-from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, adapted_smoother, run_task
+from invdyn.inference.filters.best_guide import Guide, best_guide
+from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, run_task
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 
 PILOTS, FILTERS, PREDICTIVE = range(3)
 """Places of the random numbers of one run (:func:`.seeds.derived`)."""
@@ -42,7 +42,7 @@ def smc(
 
     Args:
         problem: model and observations.
-        guide: "controlled" or "bootstrap".
+        guide: "controlled", which :func:`.best_guide` may overrule, or "bootstrap".
         options: sizes.
         start: path (T, D) to linearise at first.
         seed: of every random number; same seed, same result.
@@ -58,15 +58,16 @@ def smc(
     model, observations = problem.model, problem.observations
     method = "smc" if guide == "controlled" else guide
     checkpoint = inside(checkpoint, method)
-    smoother = None
+    chosen = Guide("bootstrap", None, options.num_particles)
     if guide == "controlled":
-        smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
+        chosen = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
+    options, smoother = replace(options, num_particles=chosen.num_particles), chosen.smoother
     sizes = options.tasks()
     ends = np.cumsum(sizes)
     parts = distribute(
         run_task,
         [
-            (model, observations, replace(options, num_filters=size), guide, smoother, derived(seed, FILTERS, k))
+            (model, observations, replace(options, num_filters=size), chosen.name, smoother, derived(seed, FILTERS, k))
             for k, size in enumerate(sizes)
         ],
         [f"filters {end - size} to {end - 1}" for size, end in zip(sizes, ends, strict=True)],
@@ -76,6 +77,7 @@ def smc(
         progress=stage(progress, "filter and smooth"),
     )
     joined = {name: torch.cat([part[name] for part in parts], dim) for name, dim in PER_FILTER.items()}
+    evidence = chosen.judged(joined["log_evidence"])
     dropped = torch.empty(0)  # the particles stay where they were made
     result = FilterResult(**joined, states=dropped, log_weights=dropped, log_twist=None, ancestors=dropped)
     with seeded(derived(seed, PREDICTIVE)):
@@ -85,6 +87,13 @@ def smc(
             result,
             method=method,
             seed=seed,
+            diagnostics={
+                "usable": int(evidence.usable),
+                "doubt": evidence.reason,
+                "contradicted": evidence.contradicted,
+                "guide": evidence.guide,
+                "guide_reason": chosen.reason,
+            },
             settings={
                 **(settings or {}),
                 "num_filters": options.num_filters,
@@ -101,12 +110,13 @@ def fitted_guide(
     start: torch.Tensor | None,
     seed: int,
     checkpoint: Checkpoint | None,
-) -> GaussianSmoother:
-    """:func:`adapted_smoother`, or the one that was kept."""
+) -> Guide:
+    """:func:`.best_guide`, or the one that was kept."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
-        return unflattened(GaussianSmoother, kept[0])
+        return Guide.kept(*kept)
     with seeded(derived(seed, PILOTS), options.device):
-        smoother = adapted_smoother(problem.model, problem.observations, options, start)
+        guide = best_guide(problem.model, problem.observations, options, start=start)
     if checkpoint is not None:
-        checkpoint.save(flattened(smoother))
-    return smoother
+        tensors, state = guide.to_keep()
+        checkpoint.save(tensors, **state)
+    return guide

@@ -9,7 +9,8 @@ Layout (dims in brackets):
     sample_stats          log_evidence [filter] (or a bound on it), log_weight [filter] (outer, normalised);
                           of particle filters also ess, resampled and log_evidence_increment
                           [filter, time]; of NUTS ArviZ's own [chain, draw]; attributes: method, bound (1:
-                          log_evidence is a lower bound), seconds (see :mod:`.registry`), and the method's own
+                          log_evidence is a lower bound), of particle filters usable (0: log_evidence is none, and
+                          "doubt" says why) and guide, seconds (see :mod:`.registry`), and the method's own
                           diagnostics
     observed_data         as posterior_predictive, without chain and draw
     constant_data         the model's parameters, and what else is known
@@ -38,6 +39,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
+from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
 from invdyn.inference.posterior.layout import check_layout, check_size
 from invdyn.inference.posterior.problem import DRAWS, Contents, StateSpaceProblem, Variables
 from invdyn.models.observation.missing import observed_log_prob
@@ -56,7 +58,7 @@ def to_inference_data(
     log_evidence: float = math.nan,
     log_evidence_sd: float = math.nan,
     bound: bool = False,
-    diagnostics: Mapping[str, float] | None = None,
+    diagnostics: Mapping[str, float | str] | None = None,
     statistics: Mapping[str, np.ndarray] | None = None,
     parameters: Mapping[str, Tensor] | None = None,
 ) -> az.InferenceData:
@@ -72,7 +74,7 @@ def to_inference_data(
         log_evidence, log_evidence_sd: without ``result``: log p(y) or a bound on it, nats, and its Monte
             Carlo standard error; NaN where the method has none.
         bound: whether the evidence is a lower bound.
-        diagnostics: numbers for the attributes of sample_stats.
+        diagnostics: numbers and words for the attributes of sample_stats.
         statistics: of each draw (M, R), for sample_stats, by the names that ArviZ knows.
         parameters: values (M, …) that differ between chains, which become variables of the posterior.
 
@@ -207,6 +209,7 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
 
     outer = outer_weights(torch.as_tensor(statistics["log_evidence"].values))
     groups["sample_stats"]["log_weight"] = (["filter"], outer.log_weights.numpy(), {"units": "nat"})
+    groups["sample_stats"].attrs.update(_doubts(parts, outer))
     idata = az.InferenceData(**groups, observed_data=parts[0]["observed_data"], constant_data=parts[0]["constant_data"])
     idata.attrs.update(parts[0].attrs | _outer_attributes(outer) | {"seed": seed})
 
@@ -256,6 +259,23 @@ def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) 
         idata[group] = data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS})
     idata.attrs["draws"] = "equally weighted"
     return idata
+
+
+def _doubts(parts: Sequence[az.InferenceData], outer: OuterWeights) -> dict[str, Any]:
+    """Usable only where all filters together are, and each part that weighs; {} of methods that do not doubt."""
+    attributes = [part["sample_stats"].attrs for part in parts]
+    if not all("usable" in each for each in attributes):
+        return {}
+    # A part of few filters may well be uneven by itself: what counts is its guide against the pilot's.
+    reasons = [scatter_doubt(evidence(outer, ""))] + [str(each["contradicted"]) for each in attributes]
+    reason = next((each for each in reasons if each), "")
+    return {"usable": int(not reason), "doubt": reason}
+
+
+def evidence_note(idata: az.InferenceData) -> str:
+    """Text "not usable: …" where the evidence does not stand, else empty."""
+    attributes = idata["sample_stats"].attrs
+    return "" if attributes.get("usable", 1) else f"not usable: {attributes['doubt']}"
 
 
 def pooled(idata: az.InferenceData, group: str = "posterior") -> xr.Dataset:

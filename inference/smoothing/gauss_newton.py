@@ -45,9 +45,6 @@ from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
-MEAN = ("gaussian_emission", "informative_mean")
-"""What a method that linearises the emission's mean needs of it."""
-
 
 @dataclass
 class GaussianSmoother:
@@ -119,7 +116,7 @@ def gauss_newton(
     approximation here, and an emission whose mean says nothing of the state; Diverged when the starting path has no
     finite density.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition", *MEAN))
+    observations = check_model(model, observations, needs=("gaussian_transition",))
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
     if start is None:

@@ -4,8 +4,10 @@ At a path x̄ the transition f and the emission h are
 
     x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
 
-with slopes F and H by differences. What the path is off, a = f(x̄_t) − x̄_{t+1} and e = W (y − h(x̄)), takes a quarter of
-the work, and tells log p(x̄, y) exactly: it is all that a search for a path asks of a step that it refuses.
+with slopes F and H by differences; rows of an emission whose noise depends on the state, or that is neither Gaussian
+nor Student-t, are those of a Newton step on log g itself (:mod:`.newton_rows`). What the path itself is off,
+a = f(x̄_t) − x̄_{t+1} and e = W (y − h(x̄)), takes a quarter of the work, and tells log p(x̄, y) exactly: it is all that a
+search for a path needs of a step that it refuses.
 
 Shapes: observations (T, O), path (…, T, D); the leading dimensions are many parameter sets of
 one model, each with its own path. All in float64.
@@ -19,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.smoothing.newton_rows import keeps_noise, newton_rows
 from invdyn.inference.smoothing.square_root import log_abs_det
 from invdyn.models.observation.missing import explained, gaussian_rows, times
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
@@ -82,11 +85,18 @@ class SeenRows:
         whitening: W, as :func:`.missing.gaussian_rows` has it.
         e: (…, T, O) by what rows are off, zero where missing.
         normaliser: (…, T) log densities where nothing is off.
+        E: (…, T, D, D) rows of the state itself, and e (…, T, D), of emissions that no mean sums up
+            (:mod:`.newton_rows`); None of all others.
     """
 
     whitening: Tensor
     e: np.ndarray
     normaliser: np.ndarray
+    E: Tensor | None = None
+
+    def on_state(self, H: Tensor) -> Tensor:
+        """Rows (…, T, O, D) on the state; H (…, T, O, D) are the slopes of the emission's mean."""
+        return times(self.whitening, H) if self.E is None else self.E
 
     @property
     def log_constant(self) -> np.ndarray:
@@ -98,6 +108,9 @@ class SeenRows:
 def seen_rows(model: StateSpaceModel, path: Tensor, observations: Tensor) -> SeenRows:
     """What ``model`` says of ``observations`` (T, O) along ``path`` (…, T, D)."""
     emission = model.emission(path, torch.arange(path.shape[-2]))
+    if not keeps_noise(model, path, emission):
+        E, e, normaliser = newton_rows(model, path, observations)
+        return SeenRows(torch.eye(path.shape[-1]).to(path), e.numpy(), normaliser.numpy(), E)
     whitening, constant = gaussian_rows(emission, observations)
     seen = explained(emission, observations)
     residual = torch.where(torch.isnan(seen), 0.0, seen - getattr(emission, "base_dist", emission).loc)
@@ -128,8 +141,10 @@ Slopes = tuple[Tensor, Tensor]
 
 
 @torch.no_grad()
-def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
+def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> Slopes:
     """Slopes of ``model`` along ``path`` (…, T, D) by differences, which take a fraction of a backward pass's time.
+
+    The emission's are those of its mean; empty, (…, T, 0, D), unless ``by_mean``.
 
     Central ones, of an error of ``NUDGE``²; one-sided ones of ``WIDE`` models, and of those with ``jumping`` states,
     which lie at stops.
@@ -144,7 +159,9 @@ def slopes_along(model: StateSpaceModel, path: Tensor) -> Slopes:
     def transition(x: Tensor) -> Tensor:
         return gaussian_mean(model.transition(x, rows[1:]))
 
-    H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown, central)
+    H = path.new_zeros(*path.shape[:-1], 0, path.shape[-1])
+    if by_mean:
+        H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown, central)
     if model.jumping is not None:
         nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
     return _differences(transition, path[..., :-1, :], nudges, lone, lone, central), H
@@ -192,14 +209,15 @@ def linearise(
     Or with the ``slopes`` of a model that is nearly the same along a path that is.
     """
     here = known or deviations(model, path, observations)
-    F, H = (each.expand(*path.shape[:-2], *each.shape[-3:]) for each in slopes or slopes_along(model, path))
-    E = times(here.rows.whitening, H).numpy()
+    slopes = slopes or slopes_along(model, path, here.rows.E is None)
+    F, H = (each.expand(*path.shape[:-2], *each.shape[-3:]) for each in slopes)
+    E = here.rows.on_state(H).numpy()
     return Linearisation(F.numpy(), here.a, here.L, E, here.rows.e, here.m0, here.rows.log_constant, rows=here.rows)
 
 
 def seen_as(linear: Linearisation, rows: SeenRows, H: Tensor) -> Linearisation:
     """``linear`` of a model that moves alike, but takes what is seen for ``rows``; H (…, T, O, D) are its slopes."""
-    E = times(rows.whitening, H).numpy()
+    E = rows.on_state(H).numpy()
     return replace(linear, E=E, e=rows.e, log_constant=rows.log_constant, rows=rows)
 
 

@@ -7,7 +7,8 @@ x̄ ± √D S_i (S Sᵀ = P, columns S_i), instead of the tangent:
     f_i± = f(x̄ ± √D S_i),   f̄ = mean,   F = [ (f_i+ − f_i−) / (2√D) ] S⁻¹
     V = [ ((f_i+ + f_i−)/2 − f̄) / √D ]      the error of the fit, a sum of squares, no subtraction
 
-and likewise for the emission's mean, whose error is added to the observation noise. Where the
+and likewise for the emission's mean, whose error is added to the observation noise; an emission that no mean sums up
+gives averages of a Newton step instead (:mod:`.newton_rows`). Where the
 posterior is narrow this is the tangent; where it is wide ψ follows the bend and becomes as broad as it should,
 which is what lowers the variance of log Ẑ in noisy settings.
 """
@@ -18,11 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
-from invdyn.inference.smoothing.gauss_newton import MEAN, GaussianSmoother, gauss_newton, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
+from invdyn.inference.smoothing.newton_rows import averaged_newton_rows, keeps_noise
 from invdyn.inference.smoothing.square_root import apply, forward_mean
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import explained, gaussian_rows
@@ -43,7 +46,7 @@ def posterior_linearisation(
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
     with jumping states (:attr:`.StateSpaceModel.jumping`) is left as it is linearised: no line fits their jumps.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition", *MEAN))
+    observations = check_model(model, observations, needs=("gaussian_transition",))
     if model.jumping is not None:
         return smoother
     model = model.to(dtype=torch.float64, device="cpu")
@@ -110,10 +113,22 @@ def fit_linear(
     same transitions' and emissions' means, whose fits are most of the work (:func:`moved_means`).
     """
     predicted, F, V = _transitions(moved or Alike(model), path, covariance)
-    h, H, error = _emissions(seen or Alike(model), path, covariance)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, torch.arange(path.shape[-2]))
+    if keeps_noise(model, path, emission):
+        E, e, constant = _about_mean(seen or Alike(model), emission, observations, path, covariance)
+    else:
+        E, e, constant = averaged_newton_rows(model, path, _root(covariance), observations)
+    pieces = (F, predicted - path[..., 1:, :], L, E, e, m0, constant.sum(-1), V)
+    F_, a, L_, E_, e_, m0_, log_constant, V_ = (piece.detach().numpy() for piece in pieces)
+    return Linearisation(F_, a, L_, E_, e_, m0_, log_constant, V_)
+
+
+def _about_mean(alike: Alike, emission: Distribution, observations: Tensor, path: Tensor, covariance: Tensor) -> Fits:
+    """Rows E (…, T, O, D), e (…, T, O) and constants (…, T) of an ``emission`` along path, about its mean."""
+    h, H, error = _emissions(alike, path, covariance)
+    with torch.no_grad():
         whitening, constant = gaussian_rows(emission, observations)
         observations = explained(emission, observations)
     if whitening.ndim == H.ndim - 1:
@@ -125,15 +140,18 @@ def fit_linear(
     whitening = torch.linalg.solve_triangular(tril, whitening, upper=False)
     constant = constant - torch.log(tril.diagonal(dim1=-2, dim2=-1)).sum(-1)
     residual = torch.where(torch.isnan(observations), 0.0, observations - h).unsqueeze(-1)
-    e = (whitening @ residual).squeeze(-1)
-    pieces = (F, predicted - path[..., 1:, :], L, whitening @ H, e, m0, constant.sum(-1), V)
-    F_, a, L_, E, e_, m0_, log_constant, V_ = (piece.detach().numpy() for piece in pieces)
-    return Linearisation(F_, a, L_, E, e_, m0_, log_constant, V_)
+    return whitening @ H, (whitening @ residual).squeeze(-1), constant
 
 
 def moved_means(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
     """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has."""
-    fits = _transitions(Alike(model), path, covariance), _emissions(Alike(model), path, covariance)
+    fits = [_transitions(Alike(model), path, covariance)]
+    with torch.no_grad():
+        emission = model.emission(path, torch.arange(path.shape[-2]))
+    if not keeps_noise(model, path, emission):
+        moved = torch.stack([(each != each[:1]).flatten(1).any(1) for each in fits[0]]).any(0)
+        return moved, torch.ones_like(moved)
+    fits.append(_emissions(Alike(model), path, covariance))
     moved, seen = (torch.stack([(each != each[:1]).flatten(1).any(1) for each in pieces]).any(0) for pieces in fits)
     return moved, seen
 

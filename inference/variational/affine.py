@@ -30,6 +30,7 @@ from torch import Tensor
 from torch.distributions import constraints
 
 from invdyn.inference.filters.controlled import Controlled, triangular
+from invdyn.inference.filters.moment_matching import noise_varies
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import eliminate
@@ -113,12 +114,15 @@ class Corrected(Controlled):
     """The controlled guide, plus an affine correction that is learned and starts at none.
 
     Args:
-        model, observations, smoother: as for :class:`Controlled`.
+        model: with Gaussian transition noise, whose covariance may depend on the state: w has none, and the twist need
+            not be exact.
+        observations, smoother: as for :class:`Controlled`.
         name: prefix of the parameters "<name>.matrix" (T, D, D), "<name>.offset" and "<name>.log_scale" (T, D),
             all zero at first and without units.
     """
 
     reparameterised = True
+    one_gain = False
 
     def __init__(
         self,
@@ -142,6 +146,7 @@ class Corrected(Controlled):
         self._closed_root = tensor(triangular(inverse))
         sds = self.smoother.covariance().diagonal(dim1=-2, dim2=-1).sqrt().numpy()
         self._unit = tensor(np.where(sds > 0, sds, 1.0))
+        self._one_noise = not noise_varies(model, self.path)
         zero = torch.zeros_like(self._closed_offset)
         self._use(torch.zeros_like(self._closed_gain), zero, zero)
 
@@ -183,10 +188,21 @@ class Corrected(Controlled):
         whole._log_det = rows("_log_det").unsqueeze(-1).unbind(0)
         return whole
 
+    def propose(self, t: int | Tensor, particles: Particles) -> tuple[Particles, Tensor]:
+        """Draw x_t, differentiable in the parameters, and log p/q, with each particle's own noise where it varies."""
+        return self._drawn(t, particles["prediction"], self._root_at(t, particles["x"]))
+
     def _propose(self, t: int | Tensor, prediction: Tensor, integral: Tensor) -> tuple[Particles, Tensor]:
+        return self._drawn(t, prediction, self._noise[t])
+
+    def _root_at(self, t: int | Tensor, state: Tensor) -> Tensor:
+        """Lᵀ (…, D, D) of the transition from ``state``."""
+        return self._noise[t] if self._one_noise else gaussian_moments(self.model.transition(state, t))[1].mT
+
+    def _drawn(self, t: int | Tensor, prediction: Tensor, root: Tensor) -> tuple[Particles, Tensor]:
         noise = torch.randn_like(prediction)
         w = prediction @ self._w_gain[t] + noise @ self._w_root[t] + self._w_offset[t]
-        particles = {"x": self.path[t] + prediction + w @ self._noise[t]}
+        particles = {"x": self.path[t] + prediction + _times(w, root)}
         log_ratio = 0.5 * (noise.square() - w.square()).sum(-1) + self._log_det[t]
         if t + 1 < self.num_steps:
             particles["prediction"] = self._prediction(t + 1, particles["x"])
@@ -195,11 +211,23 @@ class Corrected(Controlled):
             particles["log_twist"] = torch.zeros_like(log_ratio)
         return particles, log_ratio
 
+    def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
+        """q(x_t | x_{t−1} = state)."""
+        return self._gaussian(t, self._prediction(t, state), self._root_at(t, state))
+
     def _conditional(self, t: int | Tensor, prediction: Tensor) -> Distribution:
+        return self._gaussian(t, prediction, self._noise[t])
+
+    def _gaussian(self, t: int | Tensor, prediction: Tensor, noise: Tensor) -> Distribution:
         w = prediction @ self._w_gain[t] + self._w_offset[t]
-        root = (self._w_root[t] @ self._noise[t]).mT
-        loc = self.path[t] + prediction + w @ self._noise[t]
+        root = (self._w_root[t] @ noise).mT
+        loc = self.path[t] + prediction + _times(w, noise)
         return MultivariateNormal(loc, scale_tril=root, validate_args=False)
+
+
+def _times(w: Tensor, root: Tensor) -> Tensor:
+    """Rows w (…, D) times one matrix, or one each (…, D, D)."""
+    return w @ root if root.ndim < w.ndim + 1 else (w.unsqueeze(-2) @ root).squeeze(-2)
 
 
 def _weighed(before: Distribution, proposal: Distribution) -> tuple[Particles, Tensor]:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.distributions import MultivariateNormal
 
-from invdyn.inference import METHODS, Comparison, arm_problem, compare, fit, prepare
+from invdyn.inference import METHODS, Comparison, arm_problem, compare, evidence_note, fit, prepare
 from invdyn.inference.held_out import Continued, log_score
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import Body, Link
@@ -79,7 +79,9 @@ def test_scores_are_those_of_the_posterior(comparison, data):
         assert 0 < row["shoulder_crps"] < np.abs(torque.values - truth.torque).mean()
         assert 0 <= row["shoulder_coverage_50"] <= row["shoulder_coverage_90"] <= 1
         assert row["log_evidence"] == idata.attrs["log_evidence"]
-        assert row["log_evidence_sd"] == idata.attrs["log_evidence_sd"]
+        assert row["usable"] == bool(idata.sample_stats.attrs["usable"])
+        stated = idata.attrs["log_evidence_sd"] if row["usable"] else np.nan
+        assert row["log_evidence_sd"] == pytest.approx(stated, nan_ok=True, rel=0)
         assert row["outer_ess"] == idata.attrs["outer_ess"]
         assert row["evidence_kind"] == "estimate"
         assert row["seconds"] > 0
@@ -92,6 +94,18 @@ def test_the_right_posterior_scores_as_it_should(comparison):
     assert row["shoulder_coverage_90"] > 0.6  # correlated in time: a few independent stretches
     assert row["log_evidence_sd"] < 0.05
     assert row["outer_ess"] > 5
+
+
+def test_filters_that_disagree_state_no_evidence(comparison):
+    """The bootstrap's few filters part, and state no error; of the look-ahead they say nothing."""
+    row, statistics = comparison.table.loc["bootstrap"], comparison.posteriors["bootstrap"].sample_stats
+    assert row["outer_ess"] < 3
+    assert not row["usable"]
+    assert np.isnan(row["log_evidence_sd"])
+    assert statistics.attrs["doubt"] in comparison.notes["bootstrap"]
+    assert evidence_note(comparison.posteriors["bootstrap"]).startswith("not usable: outer effective sample size 2.")
+    assert comparison.table.loc["smc", "usable"]
+    assert evidence_note(comparison.posteriors["smc"]) == ""
 
 
 def test_a_failure_is_a_row_with_its_reason(comparison):

@@ -19,7 +19,6 @@ from invdyn.inference import (
     VSMC_ELBO,
     Bootstrap,
     Controlled,
-    Corrected,
     GaussianChain,
     ModelError,
     ParticleFilter,
@@ -334,13 +333,10 @@ class Pair(Right):
     ("kind", "way", "message"),
     [
         (StateNoise, Controlled, "transition: expected a covariance that does not depend on the state"),
-        (StateNoise, Corrected, "transition: expected a covariance that does not depend on the state"),
-        (Volatility, gauss_newton, "emission: expected a mean that depends on the state"),
-        (Volatility, gaussian_smoother, "emission: expected a mean that depends on the state"),
         (Jumps, gauss_newton, "transition: expected Normal"),
         (Jumps, Controlled, "transition: expected Normal"),
         (Positive, gauss_newton, "initial: expected Normal"),
-        (Counts, gauss_newton, "emission: expected a family with a Gaussian approximation"),
+        (Positive, gaussian_smoother, "initial: expected Normal"),
     ],
 )
 def test_a_method_refuses_what_it_cannot_do(kind, way, message):
@@ -351,9 +347,11 @@ def test_a_method_refuses_what_it_cannot_do(kind, way, message):
 
 
 def test_a_refit_refuses_too():
-    model, other = Right(), Volatility()
+    model, other = Right(), Jumps()
     _, rows = model.simulate(seed=1)
-    assert "mean" in line(lambda *pair: posterior_linearisation(*pair, gauss_newton(model, rows)), other, rows)
+    assert "transition: expected Normal" in line(
+        lambda *pair: posterior_linearisation(*pair, gauss_newton(model, rows)), other, rows
+    )
 
 
 def test_variational_smc_checks_its_model():

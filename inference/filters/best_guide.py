@@ -1,0 +1,212 @@
+"""Which guide to filter with, chosen by the evidence of pilot runs.
+
+Ẑ is unbiased whatever the guide, and a guide that misses a part of the posterior leaves it low: of guides, the one
+with the higher log Ẑ sees more (:mod:`.second_opinion`). The look-ahead is taken where its own filters agree and a
+bootstrap pilot does not contradict it, as in problems with sharp observations, where the bootstrap collapses; for a
+model without a start of its own, only if a pilot of the defended look-ahead (:mod:`.defended`), which gives up no mode,
+confirms it closely. Else the defended look-ahead and the bootstrap filter stand for it, and
+
+    of those that no other exceeds beyond errors, the one that needs the fewest particles is taken,
+
+with as many as bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the options: a guide that
+sees less of what is to come needs more of them. The look-ahead that stands uncontradicted has those of the options.
+
+A model without a Gaussian look-alike (a discrete or bounded state, no variance), or one that cannot be linearised, has
+the bootstrap guide alone.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from pyro.infer.smcfilter import SMCFailed
+from torch import Tensor
+
+from invdyn.inference.execution.distribute import Tensors
+from invdyn.inference.execution.records import flattened, unflattened
+from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
+from invdyn.inference.filters.moment_matching import exact_closed_form, look_alike
+from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import Evidence, confirms, evidence, exceeds
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.models.divergence import Diverged
+from invdyn.models.state_space import StateSpaceModel
+
+PILOT_FILTERS = 16
+"""Filters of a bootstrap pilot. That of a model without a start of its own has as many particles in all as the run."""
+
+HOPELESS = 30.0
+"""Standard deviation of log Ẑ over filters, in nats, after which a pilot can come to no agreement."""
+
+VARIANCE = 0.5
+"""Of log Ẑ over filters, at which its mean over 64 has next to no skew."""
+
+MORE, RUN_PARTICLE_STEPS = 16, 2e7
+"""Times the particles of the options that a guide may take, and particles × rows of all its filters at most."""
+
+
+class Pilot(ParticleFilter):
+    """Filters that give up where their log-evidences differ by ``HOPELESS``: a collapsed pilot says nothing."""
+
+    def _alive(self, totals: Tensor, first: int, states: Tensor | None = None) -> None:
+        super()._alive(totals, first, states)
+        if bool(self.log_evidence.std() > HOPELESS):
+            raise SMCFailed(f"the pilot's filters have collapsed by row {first}")
+
+
+@dataclass(frozen=True)
+class Guide:
+    """What filters are guided by.
+
+    Attributes:
+        name: "controlled", "defended" or "bootstrap", as :func:`.filtering.run_filters` takes it.
+        smoother: whose factors guide; None for "bootstrap".
+        num_particles: N that a filter needs.
+        opinion: log-evidences (M,) of a bootstrap pilot; None where it failed, or is no other guide.
+        reason: why the look-ahead is not used, in a line; "" if it is.
+    """
+
+    name: str
+    smoother: GaussianSmoother | None
+    num_particles: int
+    opinion: Tensor | None = None
+    reason: str = ""
+
+    def judged(self, log_evidence: Tensor) -> Evidence:
+        """Evidence of filters (M,) that this guide steered, doubted by the pilot's."""
+        return evidence(log_evidence, self.name, None if self.opinion is None else evidence(self.opinion, "bootstrap"))
+
+    def to_keep(self) -> tuple[Tensors, dict[str, Any]]:
+        """Tensors and the rest, for a checkpoint; :meth:`kept` takes them back."""
+        tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
+        tensors |= {} if self.opinion is None else {"opinion": self.opinion}
+        return tensors, {"name": self.name, "num_particles": self.num_particles, "reason": self.reason}
+
+    @classmethod
+    def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":
+        """What :meth:`to_keep` gave."""
+        smoother = None
+        if "smoother.path" in tensors:
+            smoother = unflattened(GaussianSmoother, tensors, "smoother.")
+        opinion, size = tensors.get("opinion"), int(state["num_particles"])
+        return cls(state["name"], smoother, size, opinion, state["reason"])
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    name: str
+    log_evidence: Tensor
+    num_particles: int
+
+    @property
+    def found(self) -> Evidence:
+        return evidence(self.log_evidence, self.name)
+
+    @property
+    def needed(self) -> float:
+        """Particles for a variance of log Ẑ of ``VARIANCE``, which goes down with their number."""
+        return self.num_particles * float(self.log_evidence.var()) / VARIANCE
+
+
+def best_guide(
+    model: StateSpaceModel,
+    observations: Tensor,
+    options: SMCOptions | None = None,
+    seed: int | None = None,
+    start: Tensor | None = None,
+) -> Guide:
+    """Return the guide for ``model`` on ``observations`` (T, O), NaN where missing.
+
+    Args:
+        model: any.
+        observations: of it.
+        options: sizes of the run that the guide is for.
+        seed: of the pilots; torch's own generator goes on where it was. None takes its state, and moves it.
+        start: path (T, D) to linearise at first.
+    """
+    options = options or SMCOptions()
+    if seed is not None:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return best_guide(model, observations, options, start=start)
+    # Without a start of the model's own, the pilot's particles tell where its modes may be.
+    searched = start is None and type(model).initial_paths is StateSpaceModel.initial_paths
+    opinion, blind = _blind(model, observations, options) if searched else (None, None)
+    try:
+        like = look_alike(model)
+        smoother, log_evidence = adapted(model, observations, options, start, blind)
+        name = "controlled" if exact_closed_form(like, smoother.path) and like is model else "defended"
+        if log_evidence is None:
+            log_evidence = run_filters(model, observations, _few(options), smoother=smoother, keep=0).log_evidence
+    # A model of one's own may raise anything where a linearisation leads it: outside of a support, of a domain.
+    except (TypeError, ValueError, NotImplementedError, AttributeError, Diverged, SMCFailed) as error:
+        few = _affordable(opinion, options, len(observations))
+        return Guide("bootstrap", None, few, reason=str(error).splitlines()[0])
+    if not searched:
+        opinion, _ = _blind(model, observations, options, keep=0)
+    ahead = _Pilot(name, log_evidence, min(options.num_particles, 100))
+    size = options.num_particles
+    doubted = not ahead.found.standing or (opinion is not None and exceeds(opinion.found, ahead.found))
+    if searched or doubted:
+        defended = [] if name == "defended" else _defended(model, observations, options, smoother)
+        confirmed = not doubted and all(confirms(each.found, ahead.found) for each in defended)
+        if not confirmed:
+            rivals = [*defended, *([] if opinion is None else [opinion])]
+            # Where a model has no start of its own, any mode may have been missed.
+            own = [] if rivals and searched and name == "controlled" else [ahead]
+            ahead = _chosen(rivals + own)
+            size = _affordable(ahead, options, len(observations))
+    if ahead.name == "bootstrap":
+        reason = f"the {name} guide misses a part of the posterior, or is less steady"
+        return Guide("bootstrap", None, size, reason=reason)
+    return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence)
+
+
+def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:
+    highest = max(pilots, key=lambda pilot: pilot.found.log_evidence)
+    level = [pilot for pilot in pilots if pilot is highest or not exceeds(highest.found, pilot.found)]
+    return min(level, key=lambda pilot: pilot.needed)
+
+
+def _affordable(pilot: _Pilot | None, options: SMCOptions, rows: int) -> int:
+    """Particles that the guide of ``pilot`` needs, within bounds."""
+    room = int(RUN_PARTICLE_STEPS / (options.num_filters * rows))
+    most = max(options.num_particles, min(MORE * options.num_particles, room))
+    if pilot is None or not pilot.needed < most:
+        return most
+    return max(options.num_particles, math.ceil(pilot.needed))
+
+
+def _blind(
+    model: StateSpaceModel, observations: Tensor, options: SMCOptions, keep: int | None = None
+) -> tuple[_Pilot | None, FilterResult | None]:
+    """A bootstrap run of a few filters; where it is kept, with as many particles in all, or as memory has room for."""
+    filters = max(2, min(options.num_filters, PILOT_FILTERS))
+    size = options.num_particles
+    if keep is None:
+        room = min(options.num_filters * size, int(PILOT_PARTICLE_STEPS / len(observations)))
+        size = max(room // filters, 2)
+    few = replace(options, num_filters=filters, num_particles=size)
+    kind = ParticleFilter if keep is None else Pilot
+    try:
+        result = run_filters(model, observations, few, guide="bootstrap", keep=keep, kind=kind).cpu()
+    except SMCFailed:
+        return None, None
+    return _Pilot("bootstrap", result.log_evidence, size), result
+
+
+def _defended(
+    model: StateSpaceModel, observations: Tensor, options: SMCOptions, smoother: GaussianSmoother
+) -> list[_Pilot]:
+    try:
+        result = run_filters(model, observations, _few(options), guide="defended", smoother=smoother, keep=0)
+    except SMCFailed:
+        return []
+    return [_Pilot("defended", result.log_evidence.cpu(), options.num_particles)]
+
+
+def _few(options: SMCOptions) -> SMCOptions:
+    return replace(options, num_filters=max(2, min(options.num_filters, PILOT_FILTERS)))

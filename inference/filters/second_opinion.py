@@ -1,0 +1,124 @@
+"""Whether an estimate of the evidence may be stated: its own scatter, and an independent second opinion.
+
+That all filters agree does not make them right: if the guide that they share looks away from a mode, each misses it.
+Ẑ is unbiased and positive, so by Markov's inequality
+
+    P(Ẑ ≥ e^d Z) ≤ e^{−d}:
+
+an estimate is hardly ever much too high, and often much too low. So a bootstrap pilot that is *higher* contradicts the
+look-ahead beyond log (1/LEVEL) nats and three standard errors, however it scatters itself. One that is *lower* says
+something only if it has a standing of its own, an outer ESS of at least half of its filters; a collapsed one, as in all
+problems with sharp observations, says nothing.
+
+The standard error of log Ẑ from M filters is sd(Ẑ)/(√M mean Ẑ). With an outer ESS under two one filter carries more
+than half of the estimate, and no error can be had from it: it is NaN.
+
+Shapes: log-evidences (M,).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from invdyn.inference.filters.nested import OuterWeights, outer_weights
+
+MIN_SHARE, MIN_FILTERS = 0.25, 4.0
+"""Outer ESS under which an evidence is not stated, as a share of the filters: where log Ẑ is normal with an sd of 1.2,
+up to which its standard error holds. And filters that it takes at least, if there are twice as many."""
+
+LEVEL = 0.01
+"""Probability, at most, with which a right estimate is contradicted by a higher one without standing."""
+
+ERRORS, SLACK = 3.0, 1.0
+"""Standard errors by which estimates may differ; and nats more for a lower one, as unbiased estimates are skewed."""
+
+CLOSE = 0.15
+"""Nats: an error under which no mode of two goes unseen, whose loss is log 2."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """An estimate of log p(y), and whether it may be used.
+
+    Attributes:
+        log_evidence: nats.
+        sd: its Monte Carlo standard error; NaN where there is none.
+        outer_ess: effective number of filters.
+        filters: their number.
+        usable: whether it stands.
+        reason: why not, in a line; "" if it does.
+        contradicted: how another guide contradicts it; "" if none does.
+        guide: "controlled", "defended" or "bootstrap".
+    """
+
+    log_evidence: float
+    sd: float
+    outer_ess: float
+    filters: int
+    usable: bool
+    reason: str
+    guide: str
+    contradicted: str = ""
+
+    @property
+    def standing(self) -> bool:
+        """Whether at least half of the filters carry the estimate."""
+        return self.filters > 1 and self.outer_ess >= self.filters / 2
+
+    def __str__(self) -> str:
+        return f"{self.log_evidence:.1f} ± {self.sd:.2f}" if self.sd == self.sd else f"{self.log_evidence:.1f}"
+
+
+def evidence(log_evidence: Tensor | OuterWeights, guide: str, pilot: Evidence | None = None) -> Evidence:
+    """Evidence of filters' log-evidences (M,), doubted by their own scatter and by the ``pilot`` of another guide."""
+    outer = outer_weights(log_evidence) if isinstance(log_evidence, Tensor) else log_evidence
+    filters = len(outer.log_weights)
+    found = Evidence(outer.log_evidence, outer.log_evidence_sd, outer.ess, filters, True, "", guide)
+    contradicted = "" if pilot is None else contradiction(found, pilot)
+    reason = contradicted or scatter_doubt(found)
+    return replace(found, usable=not reason, reason=reason, contradicted=contradicted)
+
+
+def scatter_doubt(found: Evidence) -> str:
+    """Why the scatter of the filters themselves forbids the estimate; "" if it does not."""
+    floor = max(MIN_SHARE * found.filters, min(MIN_FILTERS, found.filters / 2), 1.5)
+    if not math.isfinite(found.log_evidence):
+        return "the filters lost all their weight"
+    if found.filters == 1:
+        return "one filter gives no standard error: use at least two"
+    if found.outer_ess < floor:
+        return (
+            f"outer effective sample size {found.outer_ess:.1f} of {found.filters} filters is under {floor:g}: "
+            "use more particles"
+        )
+    return ""
+
+
+def exceeds(other: Evidence, found: Evidence) -> bool:
+    """Whether ``other`` is higher than ``found`` beyond errors and, without a standing of its own, beyond luck."""
+    luck = 0.0 if other.standing else -math.log(LEVEL)
+    return other.log_evidence - found.log_evidence > ERRORS * _joint_sd(found, other) + luck
+
+
+def confirms(other: Evidence, found: Evidence) -> bool:
+    """Whether ``other`` has a standing, and equals ``found`` within errors that are below ``CLOSE``."""
+    error = _joint_sd(found, other)
+    return other.standing and error < CLOSE and abs(other.log_evidence - found.log_evidence) <= ERRORS * error + 1e-3
+
+
+def contradiction(found: Evidence, pilot: Evidence) -> str:
+    """How ``pilot``, by another guide, contradicts ``found``; "" if it does not."""
+    gap = found.log_evidence - pilot.log_evidence
+    lower = pilot.standing and gap > ERRORS * _joint_sd(found, pilot) + SLACK
+    if not lower and not exceeds(pilot, found):
+        return ""
+    return (
+        f"the {found.guide} guide estimates {found}, the {pilot.guide} guide {pilot}: they disagree beyond their "
+        "errors; use more particles"
+    )
+
+
+def _joint_sd(found: Evidence, other: Evidence) -> float:
+    """Of a difference; an estimate without an error of its own, which one filter carries, adds none."""
+    return math.hypot(*(0.0 if math.isnan(each.sd) else each.sd for each in (found, other)))

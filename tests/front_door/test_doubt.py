@@ -1,0 +1,41 @@
+"""An evidence that is not usable is said to be so in the line, the figure's title and the table."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from invdyn.inference import Comparison
+from invdyn.inference.comparison import COLUMNS
+from invdyn.plots import heading
+from invdyn.summary import comparison_text, summary_text
+
+DOUBT = "outer effective sample size 1.0 of 64 filters is under 16: use more particles"
+
+
+@pytest.fixture
+def doubted(make_posterior):
+    idata = make_posterior(num_filters=6)
+    assert f"{idata.attrs['log_evidence']:.1f}" in heading(idata)
+    assert f"log evidence {idata.attrs['log_evidence']:.2f}" in summary_text(idata)
+    idata["sample_stats"].attrs.update(usable=0, doubt=DOUBT)
+    return idata
+
+
+def test_the_line_and_the_title_say_so(doubted):
+    stated = f"{doubted.attrs['log_evidence']:.1f}"
+    assert f"log evidence not usable: {DOUBT}" in summary_text(doubted)
+    assert "log evidence not usable" in heading(doubted)
+    assert stated not in heading(doubted)
+
+
+def test_the_table_says_so(doubted):
+    row = dict.fromkeys(COLUMNS, np.nan) | {"log_evidence": -90899.94, "evidence_kind": "estimate", "usable": False}
+    row |= {"outer_ess": 1.0, "seconds": 1.0, "memory": 1.0}
+    table = pd.DataFrame({"smc": {**row, "usable": True, "log_evidence": 12.3}, "bootstrap": row}).T
+    notes = {"bootstrap": f"evidence not usable: {DOUBT}"}
+    text = comparison_text(Comparison(table, {"bootstrap": doubted}, {}, notes, 0, False, "swing", 0))
+    line = next(line for line in text.splitlines() if line.startswith("bootstrap"))
+    assert "not usable" in line
+    assert "90899" not in text
+    assert "12.30" in text
+    assert DOUBT in text

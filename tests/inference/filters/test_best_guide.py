@@ -1,0 +1,95 @@
+"""The guide that pilots choose: right within its errors, or not usable."""
+
+import pytest
+import torch
+from grid_filter import grid_evidence
+from one_state import Counts, Growth, HeavyTailed, Multiplicative, Positive, Volatility
+
+from invdyn.inference import Guide, SMCOptions, best_guide, gauss_newton, run_filters
+from invdyn.inference.filters.second_opinion import evidence
+
+
+def default_run(model, y, seed=0):
+    guide = best_guide(model, y, seed=seed)
+    torch.manual_seed(seed + 1)
+    options = SMCOptions(num_particles=guide.num_particles)
+    result = run_filters(model, y, options, guide=guide.name, smoother=guide.smoother, keep=0)
+    return guide, guide.judged(result.log_evidence)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "low"),
+    [
+        (Volatility, "controlled", -7),
+        (Counts, "controlled", -7),
+        (Multiplicative, "defended", -7),
+        (HeavyTailed, "defended", -7),
+        (Positive, "bootstrap", 1e-3),
+    ],
+)
+def test_evidence_of_models_of_ones_own(kind, name, low):
+    model = kind(20)
+    torch.manual_seed(3)
+    y = model.simulate()[1]
+    exact, _ = grid_evidence(model, y, low, 7)
+    guide, found = default_run(model, y)
+    assert guide.name == name
+    assert found.usable, found.reason
+    assert found.log_evidence == pytest.approx(exact, abs=4 * found.sd)
+
+
+def check_growth(seed, num_steps):
+    model = Growth(num_steps)
+    torch.manual_seed(seed)
+    y = model.simulate()[1]
+    exact, _ = grid_evidence(model, y, -30, 30, 400)
+    guide, found = default_run(model, y, seed=seed)
+    assert guide.name != "controlled"
+    assert not found.usable or found.log_evidence == pytest.approx(exact, abs=3 * found.sd)
+
+
+def test_the_growth_model_is_right_or_not_usable():
+    check_growth(103, 30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_the_growth_model_on_recordings_of_its_usual_length(seed):
+    check_growth(seed, 100)
+
+
+def test_a_guide_in_a_wrong_mode_is_not_believed():
+    model = Growth(60)
+    torch.manual_seed(3)
+    y = model.simulate()[1]
+    smoother = gauss_newton(model, y)
+    pilot = run_filters(model, y, SMCOptions(16, 400), guide="bootstrap", keep=0).log_evidence
+    wrong = run_filters(model, y, SMCOptions(32, 100), smoother=smoother, keep=0).log_evidence
+    assert evidence(pilot, "bootstrap").log_evidence - evidence(wrong, "controlled").log_evidence > 50
+    judged = Guide("controlled", smoother, 100, pilot).judged(wrong)
+    assert not judged.usable
+    assert "disagree beyond their errors" in judged.reason
+
+
+def test_a_seed_gives_the_same_guide_and_leaves_the_generator_alone():
+    model = Counts(10)
+    torch.manual_seed(3)
+    y = model.simulate()[1]
+    before = torch.get_rng_state()
+    first, second = (best_guide(model, y, SMCOptions(16, 50), seed=5) for _ in range(2))
+    assert torch.equal(before, torch.get_rng_state())
+    assert (first.smoother.factors.U == second.smoother.factors.U).all()
+    assert torch.equal(first.opinion, second.opinion)
+
+
+def test_a_guide_is_kept_and_comes_back():
+    model = Counts(10)
+    torch.manual_seed(3)
+    y = model.simulate()[1]
+    for guide in (best_guide(model, y, SMCOptions(16, 50), seed=5), Guide("bootstrap", None, 200, reason="why")):
+        again = Guide.kept(*guide.to_keep())
+        assert (again.name, again.num_particles, again.reason) == (guide.name, guide.num_particles, guide.reason)
+        assert (again.smoother is None) == (guide.smoother is None)
+        if guide.smoother is not None:
+            assert (again.smoother.factors.U == guide.smoother.factors.U).all()
+            assert torch.equal(again.opinion, guide.opinion)
