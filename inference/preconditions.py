@@ -52,6 +52,9 @@ def _constant_covariance(probe: Probe) -> None:
 
 
 def _gaussian_emission(probe: Probe) -> None:
+    if probe.model.emission_sees_previous:
+        expected, got = "an emission of x_t alone", "one that depends on x_{t−1} too"
+        raise probe.error("emission_given", expected, got, "use the bootstrap guide")
     try:
         gaussian_rows(probe.emission.distribution, probe.emission.value)
     except TypeError as error:
@@ -89,7 +92,8 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
 * ``continuous_state``: states are real numbers;
 * ``gaussian_transition``: ``initial`` and ``transition`` are Normal or MultivariateNormal;
 * ``constant_covariance``: and the transition's covariance does not depend on the state;
-* ``gaussian_emission``: :func:`.missing.gaussian_rows` has a Gaussian approximation of the emission;
+* ``gaussian_emission``: :func:`.missing.gaussian_rows` has a Gaussian approximation of the emission, and y_t depends on
+  x_t alone;
 * ``informative_mean``: the emission's mean depends on the state;
 * ``transition_density``: the transition has a finite density wherever it draws.
 """

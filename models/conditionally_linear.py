@@ -33,8 +33,7 @@ Linear = tuple[Tensor, Tensor, Tensor]
 class ConditionallyLinear(StateSpaceModel, ABC):
     """A subclass writes the five methods below, and sets ``outer_dim`` and ``inner_dim``.
 
-    Covariances may be singular for the Rao–Blackwellised filter; methods that need the joint density of (u, x) take
-    positive definite ones.
+    P and Q may be singular: (u, x) is simulated and filtered then, and has no density. R must be positive definite.
     """
 
     outer_dim: int
@@ -75,7 +74,7 @@ class ConditionallyLinear(StateSpaceModel, ABC):
 
         def inner(outer: Tensor) -> Distribution:
             mean, covariance = self.inner_initial(outer)
-            return MultivariateNormal(mean, covariance, validate_args=False)
+            return _normal(mean, covariance)
 
         return OuterThenInner(self.outer_initial(), inner, self.inner_dim)
 
@@ -85,7 +84,7 @@ class ConditionallyLinear(StateSpaceModel, ABC):
 
         def inner(outer: Tensor) -> Distribution:
             A, b, Q = self.inner_transition(outer, t)
-            return MultivariateNormal(apply(A, x) + b, Q, validate_args=False)
+            return _normal(apply(A, x) + b, Q)
 
         outer = self.outer_transition(before, t)
         # An outer state without memory has no batch of its own.
@@ -96,7 +95,7 @@ class ConditionallyLinear(StateSpaceModel, ABC):
         """N(C(u_t) x_t + d(u_t), R(u_t))."""
         outer, x = self.split(state)
         C, d, R = self.inner_emission(outer, t)
-        return MultivariateNormal(apply(C, x) + d, R, validate_args=False)
+        return _normal(apply(C, x) + d, R)
 
 
 class OuterThenInner(TorchDistribution):
@@ -134,3 +133,13 @@ class OuterThenInner(TorchDistribution):
         size = value.shape[-1] - self.inner_dim
         outer, x = value[..., :size], value[..., size:]
         return self.outer.log_prob(outer) + self.inner(outer).log_prob(x)
+
+
+def _normal(mean: Tensor, covariance: Tensor) -> Distribution:
+    """N(mean, covariance); where the covariance is singular it has draws, and its log-density is NaN or infinite."""
+    root, failed = torch.linalg.cholesky_ex(covariance)
+    if bool(failed.any()):
+        values, vectors = torch.linalg.eigh(covariance)
+        # V √λ is a square root, and QR of its transpose makes it triangular.
+        root = torch.linalg.qr((vectors * values.clamp_min(0).sqrt().unsqueeze(-2)).mT).R.mT
+    return MultivariateNormal(mean, scale_tril=root, validate_args=False)

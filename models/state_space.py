@@ -249,11 +249,27 @@ class StateSpaceModel(ABC):
         rows = torch.arange(path.shape[-2], device=path.device)
         total = self.initial().log_prob(path[..., :1, :]).squeeze(-1)
         total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)
+        return total + self.log_likelihood(path, observations).sum(-1)
+
+    def log_likelihood(self, path: Tensor, observations: Tensor) -> Tensor:
+        """Log p(y_t | x_{0:T}) by row, (..., T), along paths (..., T, D); missing entries drop out."""
         if not self.emission_sees_previous:
-            return total + observed_log_prob(self.emission(path, rows), observations).sum(-1)
-        total = total + observed_log_prob(self.emission(path[..., 0, :], 0), observations[..., 0, :])
+            return observed_log_prob(self._emissions(path)[0], observations)
+        first, onward = self._emissions(path)
+        rows = observations[..., :1, :], observations[..., 1:, :]
+        return torch.cat([observed_log_prob(first, rows[0]), observed_log_prob(onward, rows[1])], -1)
+
+    def sample_observations(self, path: Tensor) -> Tensor:
+        """Draw observations (..., T, O) along paths (..., T, D)."""
+        return torch.cat([emission.sample() for emission in self._emissions(path)], -2)
+
+    def _emissions(self, path: Tensor) -> list[Distribution]:
+        """Of all rows at once; of row 0 and of the others, where these depend on the state before."""
+        rows = torch.arange(path.shape[-2], device=path.device)
+        if not self.emission_sees_previous:
+            return [self.emission(path, rows)]
         onward = self.emission_given(path[..., :-1, :], path[..., 1:, :], rows[1:])
-        return total + observed_log_prob(onward, observations[..., 1:, :]).sum(-1)
+        return [self.emission(path[..., :1, :], rows[:1]), onward]
 
 
 def gaussian_moments(distribution: Distribution) -> tuple[Tensor, Tensor]:

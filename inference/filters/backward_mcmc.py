@@ -22,6 +22,7 @@ Shapes: M filters, N particles, R draws a filter, W kept rows; draws (M, R, W, D
 import torch
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.particles import FilterResult, take_at
 from invdyn.inference.filters.resampling import categorical
@@ -39,7 +40,7 @@ def backward_mcmc(
     seed: int,
     steps: int = 2,
 ) -> Tensor:
-    """Smoothed trajectories (M, R, W, D) of the rows that ``result`` kept, float64.
+    """Smoothed trajectories (M, R, W, D) of the rows that ``result`` kept; float64, or integers.
 
     Args:
         model: the filtered model.
@@ -49,24 +50,28 @@ def backward_mcmc(
         seed: of every random number.
         steps: K Metropolis–Hastings steps a row; with 0 the draws are the genealogy's.
 
-    Raises ValueError for no draw, or a negative number of steps.
+    Raises ModelError for a model that does not fit the observations, and ValueError for no draw or a negative number
+    of steps.
     """
     if num_draws < 1 or steps < 0:
         raise ValueError(f"expected at least one draw and no negative number of steps, got {num_draws} and {steps}")
+    observations = check_model(model, observations)
     kept, device = len(result.states), result.states.device
     first = len(observations) - kept
     model = model.to(dtype=torch.float64, device=device)
     observations = observations.to(dtype=torch.float64, device=device)
+    # Integers stay integers, by which a model may index.
+    dtype = torch.float64 if result.states.is_floating_point() else result.states.dtype
 
     with seeded(seed, device):
         index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
-        path = [take_at(result.states[-1].double(), index)]
+        path = [take_at(result.states[-1].to(dtype), index)]
         for k in range(kept - 2, -1, -1):
             log_weights = result.log_weights[k].double()
             if result.log_twist is not None:
                 log_weights = log_weights - result.log_twist[k].double()
             ancestor = result.ancestors[k + 1].long().gather(-1, index)
-            t, states = first + k + 1, result.states[k].double()
+            t, states = first + k + 1, result.states[k].to(dtype)
             index = move_ancestors(model, states, log_weights, ancestor, path[-1], observations[t], t, steps)
             path.append(take_at(states, index))
     return torch.stack(path[::-1], -2)

@@ -28,8 +28,8 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.bridge import Bridge
 from invdyn.inference.filters.particles import FilterResult, take_at
 from invdyn.inference.filters.resampling import categorical
-from invdyn.inference.preconditions import NO_DENSITY
 from invdyn.inference.filters.weights import log_step
+from invdyn.inference.preconditions import NO_DENSITY
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models.state_space import StateSpaceModel
 

@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -57,7 +58,7 @@ class LaggedRow:
 
 def fixed_lag(
     model: StateSpaceModel,
-    rows: Iterable[Tensor],
+    rows: Iterable[Tensor | np.ndarray],
     num_particles: int,
     *,
     lag: int,

@@ -11,10 +11,12 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import Stream
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.particles import take
@@ -55,7 +57,7 @@ class OnlineRow:
 
 def filter_rows(
     model: StateSpaceModel,
-    rows: Iterable[Tensor],
+    rows: Iterable[Tensor | np.ndarray],
     num_particles: int,
     *,
     seed: int,
@@ -76,8 +78,8 @@ def filter_rows(
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: scheme, as for :class:`ParticleFilter`.
 
-    Raises ValueError for no particle, a threshold outside its range or a guide with a twist, and SMCFailed when all
-    particles of a filter have weight zero.
+    Raises ModelError for a model that breaks its contract, or a row of another length; ValueError for no particle, a
+    threshold outside its range or a guide with a twist; SMCFailed when all particles of a filter have weight zero.
     """
     guide = guide or Bootstrap(model)
     if num_particles < 1 or num_filters < 1 or not 0 < ess_threshold <= 1:
@@ -87,6 +89,8 @@ def filter_rows(
         )
     if hasattr(guide, "log_twist"):
         raise ValueError(f"expected a guide without a twist, got {type(guide).__name__}: use Bootstrap")
+    # Rows are still to come: those of a run in which nothing was seen stand for them.
+    check_model(model, torch.full((model.num_steps, model.observation_dim), torch.nan))
     stream = Stream(seed, model.device)
     return _rows(model, guide, rows, (num_filters, num_particles), stream, ess_threshold, resampling)
 
@@ -95,7 +99,7 @@ def filter_rows(
 def _rows(
     model: StateSpaceModel,
     guide: Proposal,
-    rows: Iterable[Tensor],
+    rows: Iterable[Tensor | np.ndarray],
     shape: tuple[int, int],
     stream: Stream,
     ess_threshold: float,
@@ -109,6 +113,7 @@ def _rows(
     row: OnlineRow | None = None
 
     for t, y in enumerate(rows):
+        y = _row(model, y, t)
         with stream.drawing():
             if row is not None and bool((need := row.ess < ess_threshold * size).any()):
                 ancestors = ancestors_where(need, log_weights, resampling)
@@ -133,3 +138,14 @@ def _rows(
         before = None if row is None else replace(row, previous=None)
         row = OnlineRow(t, y, particles["x"], log_weights, ancestors, log_evidence, ess, before)
         yield row
+
+
+def _row(model: StateSpaceModel, y: Tensor | np.ndarray, t: int) -> Tensor:
+    """Row t (O,) in the model's type, on its device."""
+    row = torch.as_tensor(y).to(dtype=model.dtype, device=model.device)
+    if row.shape != (model.observation_dim,):
+        raise ModelError(
+            f"rows: expected row {t} of shape ({model.observation_dim},), got {tuple(row.shape)}: "
+            "give one row at a time, NaN where missing"
+        )
+    return row

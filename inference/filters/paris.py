@@ -22,6 +22,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,7 +63,7 @@ class OnlineEstimate:
 
 def paris(
     model: StateSpaceModel,
-    rows: Iterable[Tensor],
+    rows: Iterable[Tensor | np.ndarray],
     additive: Additive,
     num_particles: int,
     *,

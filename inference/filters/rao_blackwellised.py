@@ -25,6 +25,7 @@ import torch
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.particles import FilterResult, History, take
@@ -101,8 +102,9 @@ def rao_blackwellised(
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: scheme, as for :class:`ParticleFilter`.
 
-    Raises ValueError for no particle, another proposal or a threshold outside its range, TypeError for "optimal" with
-    an outer state that is not finite, and SMCFailed when all particles of a filter have weight zero.
+    Raises ModelError for a model that does not fit the observations, ValueError for no particle, another proposal or
+    a threshold outside its range, TypeError for "optimal" with an outer state that is not finite, and SMCFailed when
+    all particles of a filter have weight zero.
     """
     if num_particles < 1 or num_filters < 1 or not 0 < ess_threshold <= 1:
         raise ValueError(
@@ -111,7 +113,8 @@ def rao_blackwellised(
         )
     if proposal not in ("prior", "optimal"):
         raise ValueError(f'expected the proposal "prior" or "optimal", got {proposal!r}')
-    model, observations = model.to(dtype=torch.float64), observations.double()
+    observations = check_model(model, observations).double()
+    model = model.to(dtype=torch.float64)
     shape, rows, device = (num_filters, num_particles), len(observations), observations.device
     step = _optimal if proposal == "optimal" else _prior
 
@@ -153,7 +156,8 @@ def smooth_inner(
 
     ``observations`` (T, O) are those of ``result``.
     """
-    model, observations = model.to(dtype=torch.float64), observations.double()
+    observations = check_model(model, observations).double()
+    model = model.to(dtype=torch.float64)
     with seeded(seed, observations.device):
         outer = genealogy(result.filter, num_draws)
     filtered: list[Gaussian] = []

@@ -197,7 +197,8 @@ def particle_gibbs_sampler(
         guide: of the same model; :class:`Bootstrap` by default.
         ess_threshold: resample when the ESS falls below this share of N; 1 is the printed algorithm.
 
-    Raises ValueError for fewer than two particles, or no draw or chain.
+    Raises ModelError for a model that does not fit the observations or has no transition density, as with a state
+    without noise, and ValueError for fewer than two particles, or no draw or chain.
     """
     if num_particles < 2:
         raise ValueError(f"expected two particles at least, one of them the last sweep's path, got {num_particles}")
@@ -206,8 +207,8 @@ def particle_gibbs_sampler(
             f"expected one draw, one chain and a step of one sweep at least, got num_draws={num_draws}, "
             f"num_chains={num_chains}, thin={thin}, warmup={warmup}"
         )
-    guide = guide or Bootstrap(model)
-    rows, kept = observations.to(dtype=model.dtype, device=model.device), []
+    rows = check_model(model, observations, needs=("transition_density",))
+    guide, kept = guide or Bootstrap(model), []
     with seeded(seed, model.device):
         paths = first_paths(guide, rows, num_chains, num_particles, threshold=ess_threshold)
         for number in range(warmup + thin * num_draws):

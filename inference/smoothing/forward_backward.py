@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.models.finite import FiniteStateModel
 from invdyn.models.observation.missing import observed_log_prob
@@ -66,9 +67,10 @@ class ForwardBackward:
 def forward_backward(model: FiniteStateModel, observations: Tensor) -> ForwardBackward:
     """Evidence and smoothed probabilities of ``observations`` (T, O).
 
-    Raises ValueError, naming the row, where no state can have produced an observation.
+    Raises ModelError for a model that does not fit the observations, and ValueError, naming the row, where no state
+    can have produced an observation.
     """
-    first, log_steps = _logarithms(model, observations)
+    first, log_steps = _logarithms(model, check_model(model, observations))
 
     log_filtered, increments = [], []
     joint = first
@@ -101,8 +103,11 @@ def forward_backward(model: FiniteStateModel, observations: Tensor) -> ForwardBa
 
 @torch.no_grad()
 def viterbi(model: FiniteStateModel, observations: Tensor) -> tuple[Tensor, Tensor]:
-    """The most probable path (T, 1) given ``observations`` (T, O), and its log p(x, y), shape ()."""
-    best, log_steps = _logarithms(model, observations)
+    """The most probable path (T, 1) given ``observations`` (T, O), and its log p(x, y), shape ().
+
+    Raises ModelError for a model that does not fit the observations.
+    """
+    best, log_steps = _logarithms(model, check_model(model, observations))
     parents = []
     for log_step in log_steps:
         best, parent = (best.unsqueeze(-1) + log_step).max(-2)
@@ -117,8 +122,6 @@ def viterbi(model: FiniteStateModel, observations: Tensor) -> tuple[Tensor, Tens
 
 def _logarithms(model: FiniteStateModel, observations: Tensor) -> tuple[Tensor, Tensor]:
     """Log π(k) g_0(k), (K,), and log A_t[k, l] g_t(l) of rows t = 1 … T − 1, (T − 1, K, K), in float64."""
-    if len(observations) < 1:
-        raise ValueError("expected one row of observations at least, got none")
     model, observations = model.to(dtype=torch.float64), observations.double()
     states, size = model.all_states(), model.num_states
     initial = model.parameters["initial"].log() + _log_emission(model, None, states, observations[0], 0)

@@ -167,11 +167,6 @@ def _ascend(
 
     Slopes are asked for only where a step begins: those that are refused, and the last one, need none.
     """
-    if model.emission_sees_previous:
-        raise TypeError(
-            "expected an emission of x_t alone, got one that depends on x_{t−1} too (emission_given): "
-            "use the bootstrap guide"
-        )
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
     scale = scale.reshape(-1, *scale.shape[-2:])[0].norm(dim=-1).numpy()

@@ -13,14 +13,17 @@ from oracles import assert_unbiased
 from invdyn.inference import (
     VSMC_ELBO,
     Bootstrap,
+    Controlled,
     ParticleFilter,
+    SMCOptions,
     backward_mcmc,
     backward_simulation,
     filter_rows,
     gauss_newton,
+    infer_states,
     particle_gibbs_sampler,
 )
-from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.inference.contract import ModelError
 
 T = 12
 
@@ -131,10 +134,41 @@ def test_particle_gibbs(case, threshold):
 def test_methods_that_linearise_the_emission_refuse_it(case):
     model, y, _ = case
     assert model.emission_sees_previous
-    with pytest.raises(TypeError, match="use the bootstrap guide"):
-        gauss_newton(model, y)
-    with pytest.raises(TypeError, match="use the bootstrap guide"):
-        gauss_newton_path(model, y, torch.zeros(T, 1), 3, 1e-3)
+    for method in (gauss_newton, Controlled):
+        with pytest.raises(ModelError, match=r"Leverage\.emission_given: expected an emission of x_t alone"):
+            method(model, y)
+
+
+def test_what_it_gives_is_checked(case):
+    class Wide(Leverage):
+        def emission_given(self, previous, state, t):
+            return dist.Normal(state.expand(*state.shape[:-1], 2), 1.0).to_event(1)
+
+    class Unbatched(Leverage):
+        def emission_given(self, previous, state, t):
+            return dist.Normal(torch.zeros(1, dtype=state.dtype), 1.0).to_event(1)
+
+    for kind, got in ((Wide, r"\(2,\)"), (Unbatched, r"\(\)")):
+        model = kind(T)
+        with pytest.raises(ModelError, match=rf"{kind.__name__}\.emission_given: expected .* got {got}"):
+            ParticleFilter(model, Bootstrap(model), 5).run(case[1])
+
+
+def test_inference_data_has_its_rows(case):
+    """Predictive draws and log-likelihoods by row are those of the emission given the state before."""
+    model, y, _ = case
+    options = SMCOptions(num_filters=20, num_particles=100, num_draws=10)
+    idata = infer_states(model, y, method="bootstrap", options=options, seed=1)
+    states = np.concatenate(list(idata.posterior.to_array().stack(path=("chain", "draw")).values))
+    assert states.shape == (T, 200)
+    seen = np.isfinite(y[:, 0].numpy())
+    rows = idata.log_likelihood["y"].stack(path=("chain", "draw")).values
+    whole = model.log_likelihood(torch.as_tensor(states.T).unsqueeze(-1), y).numpy()
+    assert np.allclose(rows, whole.T[seen])
+    path = states[:, 7]
+    noise = (path[3] - 0.9 * path[2]) / 0.5
+    expected = log_normal(y[3, 0].item(), -0.8 * math.exp(path[3] / 2) * noise, math.exp(path[3] / 2) * 0.6)
+    assert whole[7, 3] == pytest.approx(expected)
 
 
 def test_other_models_are_as_they_were():

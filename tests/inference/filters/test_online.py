@@ -19,6 +19,7 @@ from invdyn.inference import (
     genealogy,
     paris,
 )
+from invdyn.inference.contract import ModelError
 
 T = 40
 
@@ -99,6 +100,14 @@ def test_bad_arguments_are_refused_before_a_row_is_read(chain, y, options, messa
         options["guide"] = Controlled(model, y)
     with pytest.raises(ValueError, match=message):
         filter_rows(model, y, 10, seed=0, **options)
+
+
+def test_rows_are_arrays_or_tensors_of_one_length(chain, y):
+    model = chain.model(T)
+    one, other = (list(filter_rows(model, rows, 10, seed=0))[-1] for rows in (y, y.numpy()))
+    assert torch.equal(one.log_evidence, other.log_evidence)
+    with pytest.raises(ModelError, match=r"expected row 0 of shape \(2,\), got \(3,\)"):
+        next(filter_rows(model, [torch.zeros(3)], 10, seed=0))
 
 
 def test_a_row_out_of_reach_is_named(chain, y):

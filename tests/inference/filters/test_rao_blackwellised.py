@@ -161,6 +161,7 @@ def test_it_is_kalman_where_nothing_switches():
                           model.parameters["m"].numpy(), model.parameters["P"].numpy())  # fmt: skip
     model.parameters["b"] = torch.zeros(K, 2, dtype=F64)
     model.parameters["d"] = torch.zeros(K, 2, dtype=F64)
+    model.num_steps = 30
     y = oracles.with_gaps(chain.simulate(30, seed=1)[1])
     evidence, increments, means, covs = oracles.kalman(chain, y)
     result = rao_blackwellised(model, torch.as_tensor(y), 3, seed=0)
@@ -223,11 +224,14 @@ def test_a_noiseless_inner_state_is_taken():
     model = Pair(stay=(1.0, 1.0))
     model.outer_initial = lambda: StateNumber(torch.tensor([1.0, 0.0], dtype=F64))
     torch.manual_seed(0)
-    y = torch.randn(12, 2, dtype=F64)
+    y = torch.randn(T, 2, dtype=F64)
     result = rao_blackwellised(model, y, 2, seed=0)
     inner = smooth_inner(model, result, y, 1, seed=0)
     # The second entry is the first of the row before, in the smoothed means too.
     assert torch.allclose(inner.means[0, 0, 1:, 1], inner.means[0, 0, :-1, 0], atol=1e-8)
+    # … and in what the model of both states simulates.
+    states, _ = model.simulate((5,))
+    assert torch.allclose(states[:, 1:, 2], states[:, :-1, 1])
 
 
 def test_same_seed_same_numbers(case):

@@ -8,6 +8,7 @@ import torch
 from grids import Growth, growth_answer
 
 from invdyn.inference import Controlled, gauss_newton, particle_gibbs_sampler
+from invdyn.inference.contract import ModelError
 from invdyn.models import LinearGaussian
 
 
@@ -61,26 +62,18 @@ def test_the_growth_model_against_a_grid():
     assert (off < 4.5 * square.std(0) / len(found) ** 0.5).all()
 
 
-def test_a_path_whose_states_fit_one_ancestor_alone_keeps_it():
-    """AR(2) as a pair: its second state has no noise, so that the density is NaN for each ancestor."""
+def test_a_model_without_a_transition_density_is_refused():
+    """AR(2) as a pair: its second state has no noise, and no ancestor but its own would have a density."""
 
     class Pair(LinearGaussian):
         def transition(self, state, t):
             mean = torch.stack([1.2 * state[..., 0] - 0.5 * state[..., 1], state[..., 0]], -1)
             return dist.Normal(mean, torch.tensor([0.6, 0.0], dtype=torch.float64), validate_args=False).to_event(1)
 
-    eye, C = np.eye(2), np.array([[1.0, 0.0]])
-    A = np.array([[1.2, -0.5], [1.0, 0.0]])
-    chain = oracles.Chain(A, np.diag([0.36, 1e-12]), C, 0.5 * np.eye(1), np.zeros(2), eye)
-    y = chain.simulate(10, seed=2)[1]
-    model = Pair(*map(torch.as_tensor, (A, eye, C, chain.R, chain.m, chain.P)), 10)
-    paths = particle_gibbs_sampler(
-        model, torch.as_tensor(y), num_particles=100, num_chains=500, num_draws=1, warmup=15, seed=0
-    )
-    assert torch.equal(paths[..., 1:, 1], paths[..., :-1, 0])
-    means, covs = oracles.rts(chain, y)
-    sd = np.sqrt(np.diagonal(covs, axis1=1, axis2=2))
-    assert np.abs((paths[:, 0].mean(0).numpy() - means) / sd).max() < 4.5 / np.sqrt(500)
+    eye = torch.eye(2, dtype=torch.float64)
+    model = Pair(eye, eye, eye[:1], eye[:1, :1], eye[0], eye, 10)
+    with pytest.raises(ModelError, match=r"Pair\.transition: expected a finite log-density"):
+        particle_gibbs_sampler(model, torch.zeros(10, 1, dtype=torch.float64), num_particles=5, seed=0)
 
 
 def test_draws_depend_on_the_seed_alone_and_are_thinned():
