@@ -72,7 +72,8 @@ def forward_backward(model: FiniteStateModel, observations: Tensor) -> ForwardBa
     """
     first, log_steps = _logarithms(model, check_model(model, observations))
 
-    log_filtered, increments = [], []
+    log_filtered: list[Tensor] = []
+    increments: list[Tensor] = []
     joint = first
     for t in range(len(observations)):
         if t > 0:

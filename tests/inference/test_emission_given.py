@@ -15,7 +15,6 @@ from invdyn.inference import (
     Bootstrap,
     Controlled,
     ParticleFilter,
-    SMCOptions,
     backward_mcmc,
     backward_simulation,
     filter_rows,
@@ -157,12 +156,11 @@ def test_what_it_gives_is_checked(case):
 def test_inference_data_has_its_rows(case):
     """Predictive draws and log-likelihoods by row are those of the emission given the state before."""
     model, y, _ = case
-    options = SMCOptions(num_filters=20, num_particles=100, num_draws=10)
-    idata = infer_states(model, y, method="bootstrap", options=options, seed=1)
-    states = np.concatenate(list(idata.posterior.to_array().stack(path=("chain", "draw")).values))
+    idata = infer_states(model, y, method="bootstrap", num_filters=20, num_particles=100, num_draws=10, seed=1)
+    states = idata["posterior"]["state"].stack(path=("chain", "draw")).squeeze("state_name").values
     assert states.shape == (T, 200)
     seen = np.isfinite(y[:, 0].numpy())
-    rows = idata.log_likelihood["y"].stack(path=("chain", "draw")).values
+    rows = idata["log_likelihood"]["y"].stack(path=("chain", "draw")).values
     whole = model.log_likelihood(torch.as_tensor(states.T).unsqueeze(-1), y).numpy()
     assert np.allclose(rows, whole.T[seen])
     path = states[:, 7]
