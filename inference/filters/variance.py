@@ -1,24 +1,24 @@
 """The variance of a filter's estimates from a single run, by who descends from whom.
 
-Lee & Whiteley (2018), "Variance estimation in the particle filter", Biometrika 105; Chan & Lai (2013); Olsson & Douc
-(2019), "Numerically stable online estimation of variance in particle filters", Bernoulli 25. Let E^i be the number of
-particle i's ancestor at row 0 (its Eve) and r how often the filter resampled before its last row:
-
-    Var(Ẑ/Z) ≈ 1 − (N/(N − 1))^{r+1} (1 − Σ_k m_k²),     m_k = Σ_{i: E^i = k} W^i.
-
-Adaptive resampling counts as it happened; with r = 0 this is the sample variance of the weights. When all particles
-have one Eve nothing is left to estimate from: the value is 1, whatever the variance is.
-
-The lagged estimate looks λ rows back instead. By linearisation log Ẑ − log Z ≈ Σ_t e_t with
+Lee & Whiteley (2018), "Variance estimation in the particle filter", Biometrika 105; Chan & Lai (2013), "A general
+theory of particle filters in hidden Markov models"; Olsson & Douc (2019), "Numerically stable online estimation of
+variance in particle filters", Bernoulli 25. Let E^i be the number of particle i's ancestor at row 0 (its Eve). By
+linearisation log Ẑ − log Z ≈ Σ_t e_t with
 
     e_t = Σ_i f_t^i,     f_t^i = W_t^i − W'_{t−1}^i     (W' the weights with which row t's particles were drawn),
+    Var(log Ẑ) ≈ N/(N − 1) Σ_k (Σ_t Σ_{i: E_t^i = k} f_t^i)².
 
-and Cov(e_s, e_t) of rows s ≤ t ≤ s + λ is Σ_k (Σ_{i: a(i) = k} f_s^i) (Σ_{i: a(i) = k} f_t^i), where a(i) is the
-ancestor at row s − λ. Farther rows are taken for independent: a bias that falls geometrically with λ where the model
-forgets its past, and a variance that does not grow with T. A few times the model's memory is a good λ.
+Without resampling it is the sample variance of the weights, and adaptive resampling counts as it happened. Rows at
+which all particles have one Eve add nothing, so that it comes out too small for many rows.
 
-The formulas are those of multinomial resampling. Others resample with less noise, and the estimates then are nearly
-that of multinomial resampling, and err on the large side. A guide's twist belongs to the weights.
+The lagged estimate looks λ rows back instead: Cov(e_s, e_t) of rows s ≤ t ≤ s + λ is
+Σ_k (Σ_{i: a(i) = k} f_s^i) (Σ_{i: a(i) = k} f_t^i), where a(i) is the ancestor at row s − λ. Rows farther apart are
+taken for independent: a bias that falls geometrically with λ where the model forgets its past, and a variance that
+does not grow with T. A few times the model's memory is a good λ.
+
+Lee and Whiteley's unbiased form, 1 − (N/(N − 1))^{r+1} (1 − Σ_k m_k²) after r resamplings, with the Eves' masses m,
+subtracts the noise of multinomial resampling; under systematic resampling, which has less, it is often negative. The
+sums of f hold no such noise, and serve all schemes. A guide's twist belongs to the weights.
 
 Shapes: M filters, N particles, T rows, all of them kept.
 """
@@ -34,17 +34,14 @@ def log_evidence_variance(result: FilterResult, *, lag: int | None = None) -> Te
 
     Args:
         result: of a run that kept all rows, with at least two particles.
-        lag: λ in rows; None looks back to row 0, by Lee and Whiteley's formula.
+        lag: λ in rows; None looks back to row 0.
 
     Raises ValueError for a single particle, a negative lag, or a run that dropped rows.
     """
     _check(result, lag)
-    if lag is None:
-        size = result.states.shape[2]
-        mass = _mass(result.log_weights[-1].double().exp(), _ancestors(result, len(result.ess) - 1, 0))
-        resampled = result.resampled[:-1].sum(0).double()
-        return 1 - (size / (size - 1)) ** (resampled + 1) * (1 - mass.square().sum(-1))
-    return _lagged(result, lag)
+    size = result.states.shape[2]
+    total = _from_row_zero(result) if lag is None else _lagged(result, lag)
+    return size / (size - 1) * total
 
 
 def filter_variance(result: FilterResult, values: Tensor, *, row: int = -1, lag: int | None = None) -> Tensor:
@@ -69,19 +66,34 @@ def filter_variance(result: FilterResult, values: Tensor, *, row: int = -1, lag:
     return _mass(weights * (values - mean), _ancestors(result, row, base)).square().sum(-1)
 
 
+def _from_row_zero(result: FilterResult) -> Tensor:
+    differences = _differences(result)
+    ancestors = _ancestors(result, 0, 0)
+    total = _mass(differences[0], ancestors)
+    for t in range(1, len(differences)):
+        # One row on, each particle has the Eve of its parent.
+        ancestors = ancestors.gather(-1, result.ancestors[t].long())
+        total = total + _mass(differences[t], ancestors)
+    return total.square().sum(-1)
+
+
 def _lagged(result: FilterResult, lag: int) -> Tensor:
-    log_weights, steps = result.log_weights.double(), len(result.ess)
-    differences = [log_weights[t].exp() - _drawn_with(result, log_weights, t) for t in range(steps)]
-    total = log_weights.new_zeros(log_weights.shape[1])
-    for s in range(steps):
+    differences = _differences(result)
+    total = torch.zeros_like(result.log_evidence)
+    for s, own_differences in enumerate(differences):
         ancestors = _ancestors(result, s, max(s - lag, 0))
-        own = _mass(differences[s], ancestors)
+        own = _mass(own_differences, ancestors)
         total = total + own.square().sum(-1)
-        for t in range(s + 1, min(s + lag, steps - 1) + 1):
-            # One row on, each particle has the old ancestor of its parent.
+        for t in range(s + 1, min(s + lag, len(differences) - 1) + 1):
             ancestors = ancestors.gather(-1, result.ancestors[t].long())
             total = total + 2 * (own * _mass(differences[t], ancestors)).sum(-1)
     return total
+
+
+def _differences(result: FilterResult) -> list[Tensor]:
+    """f_t (M, N) of each row."""
+    log_weights = result.log_weights.double()
+    return [weights.exp() - _drawn_with(result, log_weights, t) for t, weights in enumerate(log_weights)]
 
 
 def _drawn_with(result: FilterResult, log_weights: Tensor, t: int) -> Tensor:

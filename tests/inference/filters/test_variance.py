@@ -21,7 +21,9 @@ RUNS = 400
 
 @pytest.fixture(scope="module")
 def chain():
-    return oracles.noisy_chain()  # its weights are even enough for the delta method
+    """A slow state: rows' errors are correlated; its weights are even enough for the delta method."""
+    one = np.eye(1)
+    return oracles.Chain(0.8 * one, 0.36 * one, one, 2.0 * one, np.zeros(1), one)
 
 
 def runs(chain, steps, particles, threshold, resampling="multinomial", count=RUNS):
@@ -42,17 +44,19 @@ def z(estimates, values):
 
 
 @pytest.mark.parametrize("threshold", [1e-6, 0.5, 1.0])
-@pytest.mark.parametrize("lag", [None, 3, 100])
+@pytest.mark.parametrize("lag", [None, 6, 100])
 def test_the_variance_of_the_log_evidence(chain, threshold, lag):
-    result = runs(chain, 12, 300, threshold)
+    result = runs(chain, 20, 300, threshold)
     assert bool(result.resampled.any()) == (threshold > 0.1)
     estimates = log_evidence_variance(result, lag=lag)
     assert estimates.shape == (RUNS,)
     # Var(log Ẑ) and Var(Ẑ/Z) agree to first order; both are small here.
-    assert result.log_evidence.std() < 0.25
+    assert result.log_evidence.std() < 0.35
     assert abs(z(estimates, result.log_evidence)) < 4
     if threshold > 0.1:
         assert estimates.std() / estimates.mean() < 0.6
+        # Of single rows it would be half.
+        assert log_evidence_variance(result, lag=0).mean() < 0.75 * estimates.mean()
 
 
 def test_without_resampling_it_is_the_sample_variance_of_the_weights(chain):
@@ -61,23 +65,23 @@ def test_without_resampling_it_is_the_sample_variance_of_the_weights(chain):
     assert torch.allclose(log_evidence_variance(result), weights.var(-1) / 50)
 
 
+@pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("resampling", ["systematic", "stratified", "residual"])
-def test_other_schemes_have_no_more_variance_than_it_says(chain, resampling):
-    result = runs(chain, 12, 300, 0.5, resampling)
-    for lag in (None, 4):
+def test_other_schemes_of_resampling(chain, resampling, threshold):
+    """Lee and Whiteley's unbiased form is negative here: it subtracts noise that these schemes do not have."""
+    result = runs(chain, 20, 300, threshold, resampling)
+    for lag in (None, 6):
         estimates = log_evidence_variance(result, lag=lag)
-        assert z(estimates, result.log_evidence) > -4
-        assert estimates.mean() < 2.5 * result.log_evidence.var()
+        assert abs(z(estimates, result.log_evidence)) < 4
 
 
 def test_a_lag_outlasts_the_genealogy(chain):
-    """After 120 rows all particles have one Eve or two, and her formula says hardly anything."""
+    """After 120 rows all particles have one Eve or two, and late rows' errors are lost to those who look for her."""
     result = runs(chain, 120, 150, 1.0, count=200)
     variance = result.log_evidence.var()
     lagged = log_evidence_variance(result, lag=8)
-    eve = log_evidence_variance(result)
     assert lagged.mean() / variance == pytest.approx(1, abs=0.35)
-    assert (lagged - variance).square().mean() < 0.4 * (eve - variance).square().mean()
+    assert log_evidence_variance(result).median() < 0.5 * variance
 
 
 @pytest.mark.parametrize("lag", [None, 3])
