@@ -58,6 +58,15 @@ class Continued(StateSpaceModel):
         """The whole model's."""
         return self.model.emission(state, t + self.first)
 
+    def emission_given(self, previous: Tensor, state: Tensor, t: int | Tensor) -> Distribution:
+        """The whole model's."""
+        return self.model.emission_given(previous, state, t + self.first)
+
+    @property
+    def emission_sees_previous(self) -> bool:
+        """As the whole model's; its first row here is taken for one that sees no state before."""
+        return self.model.emission_sees_previous
+
 
 def belief(idata: az.InferenceData, model: StateSpaceModel) -> tuple[Tensor, Tensor]:
     """Mean (D,) and Cholesky factor (D, D) of the last row's state in a posterior.

@@ -50,6 +50,12 @@ def _constant_covariance(probe: Probe) -> None:
         raise probe.error("transition", expected, "one that does", "use the bootstrap guide")
 
 
+def _emission_of_state(probe: Probe) -> None:
+    if probe.model.emission_sees_previous:
+        expected, got = "an emission of x_t alone", "one that depends on x_{t−1} too"
+        raise probe.error("emission_given", expected, got, "use the bootstrap guide")
+
+
 def _transition_density(probe: Probe) -> None:
     if probe.transition is None:
         return
@@ -63,6 +69,7 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
     "continuous_state": _continuous_state,
     "gaussian_transition": _gaussian_transition,
     "constant_covariance": _constant_covariance,
+    "emission_of_state": _emission_of_state,
     "transition_density": _transition_density,
 }
 """Preconditions by name, in the order in which they are checked:
@@ -70,6 +77,7 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
 * ``continuous_state``: states are real numbers;
 * ``gaussian_transition``: ``initial`` and ``transition`` are Normal or MultivariateNormal;
 * ``constant_covariance``: and the transition's covariance does not depend on the state;
+* ``emission_of_state``: y_t depends on x_t alone;
 * ``transition_density``: the transition has a finite density wherever it draws.
 """
 

@@ -80,6 +80,8 @@ class Probe:
         self._emission(state, 0, KEEP_DIMENSIONS)
         for t in range(1, min(STEPS, model.num_steps - 1) + 1):
             after = self._transition(state, t, KEEP_DIMENSIONS)
+            if model.emission_sees_previous:
+                self._emission_given(state, after.value, t, KEEP_DIMENSIONS)
             if t == 1:
                 self._check_finite("transition", after)
             if not bool(torch.isfinite(after.value).all()):
@@ -93,6 +95,8 @@ class Probe:
         self.emission = self._emission(paths, rows, ROWS_AT_ONCE)
         if model.num_steps > 1:
             self.transition = self._transition(paths, rows.clamp_min(1), ROWS_AT_ONCE)
+            if model.emission_sees_previous:
+                self._emission_given(paths, self.transition.value, rows.clamp_min(1), ROWS_AT_ONCE)
 
     def _parameter_sets(self, first: Distribution, state: Tensor) -> torch.Size:
         """Batch shape of the parameters, () or (B, 1): that of all three distributions at one state of each set."""
@@ -120,25 +124,32 @@ class Probe:
         raise self.error(method, expected, tuple(batch), KEEP_DIMENSIONS)
 
     def _transition(self, state: Tensor, t: int | Tensor, fix: str) -> _Drawn:
-        drawn = self._evaluated("transition", state, t, self.model.state_dim, fix)
+        drawn = self._evaluated("transition", (state,), t, self.model.state_dim, fix)
         if drawn.value.dtype != state.dtype:
             raise self.error("transition", f"states of type {state.dtype}", drawn.value.dtype, AS_STATE)
         return drawn
 
     def _emission(self, state: Tensor, t: int | Tensor, fix: str) -> _Drawn:
-        drawn = self._evaluated("emission", state, t, self.model.observation_dim, fix)
-        self._check_finite("emission", drawn)
+        return self._observed("emission", (state,), t, fix)
+
+    def _emission_given(self, previous: Tensor, state: Tensor, t: int | Tensor, fix: str) -> _Drawn:
+        return self._observed("emission_given", (previous, state), t, fix)
+
+    def _observed(self, method: str, states: tuple[Tensor, ...], t: int | Tensor, fix: str) -> _Drawn:
+        drawn = self._evaluated(method, states, t, self.model.observation_dim, fix)
+        self._check_finite(method, drawn)
         _, value, density = drawn
         finite = torch.isfinite(value).all(-1)
         if bool((finite & torch.isnan(density)).any()) or (bool(finite.any()) and bool(torch.isinf(density).all())):
-            raise self.error("emission", "finite log-densities of its own draws", "others", "give it noise")
+            raise self.error(method, "finite log-densities of its own draws", "others", "give it noise")
         return drawn
 
-    def _evaluated(self, method: str, state: Tensor, t: int | Tensor, width: int, fix: str) -> _Drawn:
+    def _evaluated(self, method: str, states: tuple[Tensor, ...], t: int | Tensor, width: int, fix: str) -> _Drawn:
         """The distribution at these states: event and batch shape, draws and log-densities as they must be."""
+        state = states[-1]
         when = f"t = {t}" if isinstance(t, int) else f"t {tuple(t.shape)}"
         where = f" for states {tuple(state.shape)} at {when}"
-        found = self._called(method, (state, t), where, fix)
+        found = self._called(method, (*states, t), where, fix)
         self._check_event(method, found, width)
         batch = self._common(method, state.shape[:-1], self.sets)
         if found.batch_shape != batch:
@@ -162,7 +173,7 @@ class Probe:
         event, batch = tuple(found.event_shape), tuple(found.batch_shape)
         if event == (width,):
             return
-        attribute = "observation_dim" if method == "emission" else "state_dim"
+        attribute = "observation_dim" if method.startswith("emission") else "state_dim"
         fix = f"return {width} entries, or set {attribute}" if event else "add .to_event(1)"
         raise self.error(method, f"event shape ({width},) = ({attribute},)", f"{event} with batch shape {batch}", fix)
 

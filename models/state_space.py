@@ -2,6 +2,7 @@
 
     x_0 ~ initial(),   x_t ~ transition(x_{t-1}, t),   y_t ~ emission(x_t, t),   t = 0 … T−1
 
+Where y_t depends on x_{t-1} too (leverage, observed increments), a model also gives ``emission_given``.
 A model variant is a subclass that gives these three; everything else follows from them here,
 once for all models: ``init``/``step`` for :class:`pyro.infer.SMCFilter`, the whole sequence
 under :func:`pyro.markov` for SVI and MCMC, simulation, and the joint log-density.
@@ -66,6 +67,24 @@ class StateSpaceModel(ABC):
     @abstractmethod
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """Distribution of y_t given x_t = ``state`` (..., D), event shape (O,)."""
+
+    def emission_given(self, previous: Tensor, state: Tensor, t: int | Tensor) -> Distribution:
+        """Distribution of y_t given x_{t−1} = ``previous`` and x_t = ``state``, (..., D) each; rows t ≥ 1.
+
+        By default y_t depends on x_t alone. A model with leverage, or with observed increments, overrides this, and
+        its ``emission`` is that of row 0. Filters, simulation, the joint density and paths' samplers weigh by it;
+        methods that linearise the emission refuse such a model.
+        """
+        return self.emission(state, t)
+
+    def row_emission(self, previous: Tensor | None, state: Tensor, t: int | Tensor) -> Distribution:
+        """Distribution of y_t of any row: by :meth:`emission` at row 0, which has no ``previous`` state."""
+        return self.emission(state, t) if previous is None else self.emission_given(previous, state, t)
+
+    @property
+    def emission_sees_previous(self) -> bool:
+        """Whether y_t depends on x_{t−1} too: the class overrides :meth:`emission_given`."""
+        return type(self).emission_given is not StateSpaceModel.emission_given
 
     # -- what helps Gauss–Newton to start, overridden where more is known ------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:
@@ -180,18 +199,16 @@ class StateSpaceModel(ABC):
     # -- pyro.infer.SMCFilter ------------------------------------------------------------------
     def init(self, state: MutableMapping[str, Tensor], observation: Tensor | None = None) -> None:
         """First step for :class:`pyro.infer.SMCFilter`; writes ``state["x"]`` (..., D)."""
-        self._enter(state, 0, self.initial(), observation)
+        state["x"] = pyro.sample("x_0", self.initial())
+        if observation is not None:
+            observe("y_0", self.emission(state["x"], 0), observation)
 
     def step(self, state: MutableMapping[str, Tensor], t: int, observation: Tensor | None = None) -> None:
         """Step into row ``t`` for :class:`pyro.infer.SMCFilter`; reads and writes ``state["x"]``."""
-        self._enter(state, t, self.transition(state["x"], t), observation)
-
-    def _enter(
-        self, state: MutableMapping[str, Tensor], t: int, prior: Distribution, observation: Tensor | None
-    ) -> None:
-        state["x"] = pyro.sample(f"x_{t}", prior)
+        previous = state["x"]
+        state["x"] = pyro.sample(f"x_{t}", self.transition(previous, t))
         if observation is not None:
-            observe(f"y_{t}", self.emission(state["x"], t), observation)
+            observe(f"y_{t}", self.emission_given(previous, state["x"], t), observation)
 
     # -- SVI and MCMC --------------------------------------------------------------------------
     def sequence(self, observations: Tensor | None = None) -> Tensor:
@@ -202,11 +219,11 @@ class StateSpaceModel(ABC):
         """
         model = self.sampled()
         state = pyro.sample("x_0", model.initial())
-        path = []
+        previous, path = None, []
         for t in pyro.markov(range(self.num_steps)):
             if t > 0:
-                state = pyro.sample(f"x_{t}", model.transition(state, t))
-            emission = model.emission(state, t)
+                previous, state = state, pyro.sample(f"x_{t}", model.transition(state, t))
+            emission = model.row_emission(previous, state, t)
             if observations is None:
                 pyro.sample(f"y_{t}", emission)
             else:
@@ -222,9 +239,9 @@ class StateSpaceModel(ABC):
             state = self.initial().expand(torch.Size(batch_shape)).sample()
             states, observations = [state], [self.emission(state, 0).sample()]
             for t in range(1, self.num_steps):
-                state = self.transition(state, t).sample()
+                previous, state = state, self.transition(state, t).sample()
                 states.append(state)
-                observations.append(self.emission(state, t).sample())
+                observations.append(self.emission_given(previous, state, t).sample())
         return torch.stack(states, -2), torch.stack(observations, -2)
 
     def log_joint(self, path: Tensor, observations: Tensor) -> Tensor:
@@ -233,7 +250,27 @@ class StateSpaceModel(ABC):
         total = self.initial().log_prob(path[..., :1, :]).squeeze(-1)
         if len(rows) > 1:
             total = total + self.transition(path[..., :-1, :], rows[1:]).log_prob(path[..., 1:, :]).sum(-1)
-        return total + observed_log_prob(self.emission(path, rows), observations).sum(-1)
+        return total + self.log_likelihood(path, observations).sum(-1)
+
+    def log_likelihood(self, path: Tensor, observations: Tensor) -> Tensor:
+        """Log p(y_t | x_{0:T}) by row, (..., T), along paths (..., T, D); missing entries drop out."""
+        if not self.emission_sees_previous:
+            return observed_log_prob(self._emissions(path)[0], observations)
+        first, onward = self._emissions(path)
+        rows = observations[..., :1, :], observations[..., 1:, :]
+        return torch.cat([observed_log_prob(first, rows[0]), observed_log_prob(onward, rows[1])], -1)
+
+    def sample_observations(self, path: Tensor) -> Tensor:
+        """Draw observations (..., T, O) along paths (..., T, D)."""
+        return torch.cat([emission.sample() for emission in self._emissions(path)], -2)
+
+    def _emissions(self, path: Tensor) -> list[Distribution]:
+        """Of all rows at once; of row 0 and of the others, where these depend on the state before."""
+        rows = torch.arange(path.shape[-2], device=path.device)
+        if not self.emission_sees_previous:
+            return [self.emission(path, rows)]
+        onward = self.emission_given(path[..., :-1, :], path[..., 1:, :], rows[1:])
+        return [self.emission(path[..., :1, :], rows[:1]), onward]
 
 
 def gaussian_moments(distribution: Distribution) -> tuple[Tensor, Tensor]:

@@ -55,6 +55,12 @@ def random_chain(seed=0, dim=3, size=2, noise=0.4):
     return Chain(A, covariance(dim, 0.3), C, covariance(size, noise), rng.normal(size=dim), covariance(dim, 1))
 
 
+def noisy_chain():
+    """Two slow states, seen in noisy entries: a bootstrap filter's weights are even."""
+    A, eye = np.array([[0.8, 0.1], [0.0, 0.6]]), np.eye(2)
+    return Chain(A, 0.3 * eye, eye, 2.0 * eye, np.zeros(2), eye)
+
+
 def with_gaps(y):
     """A copy of y (T, O) in which single entries and whole rows are missing."""
     y = y.copy()

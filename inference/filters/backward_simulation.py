@@ -27,8 +27,9 @@ from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.bridge import Bridge
 from invdyn.inference.filters.moment_matching import exact_closed_form
-from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.particles import FilterResult, take_at
 from invdyn.inference.filters.resampling import categorical
+from invdyn.inference.filters.weights import log_step
 from invdyn.inference.preconditions import NO_DENSITY
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models.state_space import StateSpaceModel
@@ -39,7 +40,7 @@ def genealogy(result: FilterResult, num_draws: int) -> Tensor:
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     lines = []
     for t in range(len(result.states) - 1, -1, -1):
-        lines.append(_at(result.states[t], index))
+        lines.append(take_at(result.states[t], index))
         index = result.ancestors[t].long().gather(-1, index)
     return torch.stack(lines[::-1], -2)
 
@@ -97,7 +98,7 @@ def _backward(
         bridge = Bridge(model, observations, smoother, block)
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=device)
-    path[..., kept - 1, :] = _at(result.states[-1], index).to(dtype)
+    path[..., kept - 1, :] = take_at(result.states[-1], index).to(dtype)
     for k in range(kept - 2, -1, -1):
         t = first + k
         states = result.states[k].to(dtype)
@@ -105,10 +106,10 @@ def _backward(
         if result.log_twist is not None:
             log_weights = log_weights - result.log_twist[k].to(real)
         after = path[..., k + 1, :].unsqueeze(-2)
-        reach = model.transition(states.unsqueeze(-3), t + 1).log_prob(after)
+        reach = log_step(model, states.unsqueeze(-3), after, observations[t + 1], t + 1)
         _check_density(model, states, reach, t + 1)
         index = categorical(log_weights.unsqueeze(-2) + reach)
-        path[..., k, :] = _at(states, index)
+        path[..., k, :] = take_at(states, index)
         # Every third row or so: a block covers ℓ states, so each is still moved twice.
         if bridge is not None and k % max(1, block // 2) == 0 and k + block + 1 < kept:
             stretch = path[..., k : k + block + 2, :]
@@ -126,8 +127,3 @@ def _check_density(model: StateSpaceModel, states: Tensor, reach: Tensor, t: int
             f"{type(model).__name__}.transition: expected a finite log-density in row {t}, got NaN or infinity, as "
             f"where a state has no noise: {NO_DENSITY}"
         )
-
-
-def _at(states: Tensor, index: Tensor) -> Tensor:
-    """States (M, N, D) at index (M, R) → (M, R, D)."""
-    return states.gather(-2, index.unsqueeze(-1).expand(*index.shape, states.shape[-1]))

@@ -44,7 +44,8 @@ class Controlled(Proposal):
     """Whether all particles of a row share a gain."""
 
     def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother | None = None):
-        observations = check_model(model, observations, needs=("constant_covariance",) if self.one_gain else ())
+        covariance = ("constant_covariance",) if self.one_gain else ()
+        observations = check_model(model, observations, needs=("emission_of_state", *covariance))
         super().__init__(model)
         self.smoother = smoother or gauss_newton(model, observations)
         factors, path = self.smoother.factors, self.smoother.path

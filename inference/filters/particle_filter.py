@@ -291,7 +291,7 @@ class ParticleFilter(SMCFilter):
         first = isinstance(t, int) and t == 0
         drawn, increment = guide.propose_initial(tuple(log_weights.shape)) if first else guide.propose(t, particles)
         if y is not None:
-            increment = increment + row_log_prob(self.model.emission(drawn["x"], t), y, seen)
+            increment = increment + row_log_prob(self.model.row_emission(particles.get("x"), drawn["x"], t), y, seen)
         if "log_twist" in drawn:
             increment = increment + drawn["log_twist"] - particles.get("log_twist", 0.0)
         return Row(drawn, *normalised(log_weights, increment))

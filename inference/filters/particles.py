@@ -143,3 +143,8 @@ def take(value: Tensor, index: Tensor) -> Tensor:
     start = torch.arange(0, index.numel(), index.shape[-1], device=index.device).reshape(*index.shape[:-1], 1)
     chosen = value.flatten(0, batch - 1).index_select(0, (index + start).flatten())
     return chosen.unflatten(0, index.shape)
+
+
+def take_at(states: Tensor, index: Tensor) -> Tensor:
+    """States (M, N, D) at any number of indices (M, R) → (M, R, D)."""
+    return states.gather(-2, index.unsqueeze(-1).expand(*index.shape, states.shape[-1]))

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from invdyn.inference.filters.resampling import resample
 from invdyn.models.observation.missing import observed_log_prob
+from invdyn.models.state_space import StateSpaceModel
 
 
 def normalised(log_weights: Tensor, increment: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -40,3 +41,14 @@ def ancestors_where(need: Tensor, log_weights: Tensor, scheme: str) -> Tensor:
 def row_log_prob(emission: Distribution, y: Tensor, seen: Tensor | None) -> Tensor:
     """Log p(y | x) over the entries of y (O,) that were ``seen`` (O,), None for all; of the emission's batch shape."""
     return emission.log_prob(y) if seen is None else observed_log_prob(emission, y, seen)
+
+
+def log_step(model: StateSpaceModel, before: Tensor, after: Tensor, y: Tensor, t: int) -> Tensor:
+    """All of log p(x_t, y_t | x_{t−1}) that depends on x_{t−1} = ``before`` (…, D), given x_t = ``after``; (…).
+
+    It weighs ancestors: y_t (O,) counts only where the emission sees the state before.
+    """
+    value = model.transition(before, t).log_prob(after)
+    if model.emission_sees_previous and not bool(y.isnan().all()):
+        value = value + observed_log_prob(model.emission_given(before, after, t), y)
+    return value

@@ -36,6 +36,7 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.particles import History, take
 from invdyn.inference.filters.proposal import Proposal
 from invdyn.inference.filters.resampling import categorical, ess, resample
+from invdyn.inference.filters.weights import log_step
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models import StateSpaceModel
 from invdyn.models.observation.missing import observed_log_prob
@@ -87,18 +88,18 @@ def _conditional_filter(
                     # Ancestors come sorted: a random one gives way to the held particle's, not the largest.
                     out = torch.randint(size, (chains, 1), device=device)
                     drawn = drawn.scatter(-1, out, drawn[:, -1:])
-                    reach = model.transition(state, t).log_prob(held[:, t].unsqueeze(-2))
+                    reach = log_step(model, state, held[:, t].unsqueeze(-2), observations[t], t)
                     drawn[:, -1] = categorical(log_weights - twist + reach)
                 parents = torch.where(need.unsqueeze(-1), drawn, itself)
                 state, twist = take(state, parents), twist.gather(-1, parents)
                 log_weights = torch.where(need.unsqueeze(-1), 0.0, log_weights)
             proposal, prior = guide.conditional(t, state), model.transition(state, t)
-        state = proposal.sample()
+        previous, state = state if t > 0 else None, proposal.sample()
         if held is not None:
             state[:, -1] = held[:, t]
         increment = prior.log_prob(state) - proposal.log_prob(state)
         if bool((~torch.isnan(observations[t])).any()):
-            increment = increment + observed_log_prob(model.emission(state, t), observations[t])
+            increment = increment + observed_log_prob(model.row_emission(previous, state, t), observations[t])
         if (ahead := guide.at(t, state).get("log_twist")) is not None:
             before, twist = twist, ahead
             increment = increment + twist - before
@@ -167,3 +168,51 @@ def run_chains(
             if progress is not None:
                 progress(number + 1, sweeps)
     return {"paths": torch.stack(kept, 1)}
+
+
+@torch.no_grad()
+def particle_gibbs_sampler(
+    model: StateSpaceModel,
+    observations: Tensor,
+    *,
+    num_particles: int,
+    seed: int,
+    num_draws: int = 1000,
+    warmup: int = 100,
+    thin: int = 1,
+    num_chains: int = 4,
+    guide: Proposal | None = None,
+    ess_threshold: float = 1.0,
+) -> Tensor:
+    """Draw paths (M, S, T, D) from p(x_{0:T} | y), S of each of M chains.
+
+    Args:
+        model: any whose transition has a density.
+        observations: (T, O), NaN where missing.
+        num_particles: N of every sweep, at least 2.
+        seed: of every random number.
+        num_draws: S paths kept of each chain.
+        warmup, thin: sweeps discarded at first, and sweeps from one kept path to the next.
+        num_chains: M.
+        guide: of the same model; :class:`Bootstrap` by default.
+        ess_threshold: resample when the ESS falls below this share of N; 1 is the printed algorithm.
+
+    Raises ModelError for a model that does not fit the observations or has no transition density, as with a state
+    without noise, and ValueError for fewer than two particles, or no draw or chain.
+    """
+    if num_particles < 2:
+        raise ValueError(f"expected two particles at least, one of them the last sweep's path, got {num_particles}")
+    if num_draws < 1 or num_chains < 1 or thin < 1 or warmup < 0:
+        raise ValueError(
+            f"expected one draw, one chain and a step of one sweep at least, got num_draws={num_draws}, "
+            f"num_chains={num_chains}, thin={thin}, warmup={warmup}"
+        )
+    rows = check_model(model, observations, needs=("transition_density",))
+    guide, kept = guide or Bootstrap(model), []
+    with seeded(seed, model.device):
+        paths = first_paths(guide, rows, num_chains, num_particles, threshold=ess_threshold)
+        for number in range(warmup + thin * num_draws):
+            paths = sweep(guide, rows, paths, num_particles, threshold=ess_threshold)
+            if number >= warmup and (number - warmup + 1) % thin == 0:
+                kept.append(paths)
+    return torch.stack(kept, 1)

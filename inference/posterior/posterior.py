@@ -42,7 +42,6 @@ from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
 from invdyn.inference.posterior.layout import check_layout, check_size
 from invdyn.inference.posterior.problem import DRAWS, Contents, StateSpaceProblem, Variables
-from invdyn.models.observation.missing import observed_log_prob
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import about, first_line
 
@@ -88,9 +87,8 @@ def to_inference_data(
     else:
         outer, each = outer_weights(result.log_evidence), result.log_evidence
 
-    emission = model.emission(paths, torch.arange(model.num_steps))
-    contents = problem.contents(paths, emission.sample())
-    likelihood = observed_log_prob(emission, problem.observations.double())
+    contents = problem.contents(paths, model.sample_observations(paths))
+    likelihood = model.log_likelihood(paths, problem.observations.double())
     seen = ~torch.isnan(problem.observations).all(-1).numpy()
 
     stats: Variables = {"log_evidence": (["filter"], each), "log_weight": (["filter"], outer.log_weights)}

@@ -116,7 +116,7 @@ def gauss_newton(
     approximation here, and an emission whose mean says nothing of the state; Diverged when the starting path has no
     finite density.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition",))
+    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
     if start is None:

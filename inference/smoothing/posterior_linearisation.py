@@ -46,7 +46,7 @@ def posterior_linearisation(
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
     with jumping states (:attr:`.StateSpaceModel.jumping`) is left as it is linearised: no line fits their jumps.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition",))
+    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
     if model.jumping is not None:
         return smoother
     model = model.to(dtype=torch.float64, device="cpu")

@@ -223,7 +223,7 @@ class VSMC_ELBO(ELBO):
         """Draw row t, weight it by y (row, which entries were seen) and, unless it is the last, resample."""
         particles, increment = draw(guide, t, before.particles, tuple(before.log_weights.shape))
         if y is not None:
-            increment = increment + row_log_prob(model.emission(particles["x"], t), *y)
+            increment = increment + row_log_prob(model.row_emission(before.particles.get("x"), particles["x"], t), *y)
         if "log_twist" in particles:
             increment = increment + particles["log_twist"] - before.particles.get("log_twist", 0.0)
         log_weights, total, _ = normalised(before.log_weights, increment)
