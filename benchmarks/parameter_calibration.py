@@ -1,11 +1,11 @@
-"""Simulation-based calibration of PMMH and SMC² on three models with unknown parameters; and whether their evidence agrees.
+"""Simulation-based calibration of PMMH and SMC² on three models, and whether their evidence agrees.
 
 Talts et al. (2018), as in calibration.py: θ* from the prior, states and observations from the model at θ*; the rank of
 θ* among draws of the posterior is uniform. The ranks' statistic and its p-value are those of calibration.py, times
 the number of quantities (Bonferroni). Quantities: each parameter, and the state of the middle row.
 
-PMMH runs the chains of all simulations as one batch of filters, each simulation with its own adaptation; every 20th draw
-counts. Its evidence is by importance sampling squared, Ẑ_IS, with a standard error for each simulation. Both estimates
+PMMH runs the chains of all simulations as one batch of filters, each simulation with its own adaptation; every 20th
+draw counts. Its evidence is by importance sampling squared, Ẑ_IS, with a standard error for each simulation. Both estimates
 are unbiased, so that the ratio Ẑ_SMC² / Ẑ_IS has mean one but for the error of Ẑ_IS, about its variance.
 
     python benchmarks/parameter_calibration.py              a table
@@ -130,7 +130,7 @@ def lines(name: str, rows: int, count: int, particles: int, seed: int, pool: Pro
     found = list(pool.map(partial(by_smc2, name, particles, seed), jobs, chunksize=max(1, count // 8)))
     pairs = [(draws, weights) for draws, weights, *_ in found]
     rest = np.array([each[2:] for each in found])
-    cells["SMC²"] = pairs, float(np.nanmean(rest[:, 1])), rest[:, 2].sum()
+    cells["SMC²"] = pairs, mean_of_finite(rest[:, 1]), rest[:, 2].sum()
 
     # Outer weights of the log-ratios: log of their mean, and its standard error.
     ratio = outer_weights(torch.as_tensor(rest[:, 0] - evidence))
@@ -150,6 +150,11 @@ def lines(name: str, rows: int, count: int, particles: int, seed: int, pool: Pro
         row = [name, method, count, f"{p:.3f}", oddest, f"{half:.2f}", f"{most:.2f}", f"{accepted:.2f}"]
         out.append(f"| {' | '.join(map(str, [*row, compared[method], f'{seconds:.0f}']))} |")
     return out
+
+
+def mean_of_finite(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
 
 
 def main() -> None:

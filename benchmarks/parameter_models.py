@@ -1,6 +1,7 @@
 """Three state-space models with unknown parameters and their priors, on which samplers of parameters are compared.
 
-    linear     x_0 ~ N(0, 1), x_t = .8 x_{t−1} + q ε,  y_t = x_t + r η;         q, r log-normal, medians .5 and .5, sd .5
+    linear     x_0 ~ N(0, 1), x_t = .8 x_{t−1} + q ε,  y_t = x_t + r η;
+               q, r log-normal, medians .5 and .5, sd .5
     volatility x_0 = μ + σ ε/√(1 − φ²), x_t = μ + φ (x_{t−1} − μ) + σ ε,  y_t = exp(x_t/2) η;
                μ ~ N(−1, .5²), φ ~ Beta(20, 2), σ log-normal, median .3, sd .4
     counts     x_0 ~ N(μ, 1), x_t = μ + .8 (x_{t−1} − μ) + σ ε,  y_t ~ Poisson(exp(x_t));

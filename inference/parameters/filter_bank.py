@@ -100,11 +100,11 @@ class FilterBank:
 
     def draw_paths(self) -> Tensor:
         """One trajectory (M, T, D) of each filter: the ancestral line of a particle of the last row, by weight."""
-        index = categorical(self._log_weights).unsqueeze(-1)
-        line = []
+        index = categorical(self._log_weights)
+        filters, line = torch.arange(len(index)), []
         for states, parents in zip(self._states[::-1], self._parents[::-1], strict=True):
-            line.append(take(states, index).squeeze(-2))
-            index = parents.gather(-1, index)
+            line.append(states[filters, index])
+            index = parents[filters, index]
         return torch.stack(line[::-1], -2)
 
     def _tensors(self) -> list[Tensor]:

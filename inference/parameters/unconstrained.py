@@ -134,7 +134,7 @@ class UnconstrainedParameters(Generic[M]):
 
     def _alone(self, name: str, value: Tensor) -> Tensor:
         """One set's value with as many dimensions as the model's parameter has."""
-        return value.reshape(*[1] * (self.model.parameters[name].ndim - value.ndim), *value.shape)
+        return value.reshape([1] * (self.model.parameters[name].ndim - value.ndim) + list(value.shape))
 
 
 def _log_densities(model: StateSpaceModel, x: Tensor, y: Tensor) -> Tensor:
