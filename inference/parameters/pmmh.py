@@ -35,7 +35,7 @@ from invdyn.inference.parameters.importance import importance_evidence
 from invdyn.inference.parameters.posterior import ParameterPosterior
 from invdyn.inference.parameters.random_walk import Adaptation, Walkers, metropolis
 from invdyn.inference.parameters.tempered import tempering_step
-from invdyn.inference.parameters.unconstrained import UnconstrainedParameters
+from invdyn.inference.parameters.unconstrained import UnconstrainedParameters, checked
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.recordings import InputError
 
@@ -96,13 +96,12 @@ def pmmh(
         seed: of every random number; same seed, same result.
         progress: called with (steps done, steps, what).
 
-    Raises InputError for a model without priors, for one that does not take many parameter sets at once, and for sizes
-    under one; SMCFailed when no draw from the prior gives the observations a density.
+    Raises InputError for a model that does not fit its rows, has no priors or does not take many parameter sets at
+    once, and for sizes under one; SMCFailed when no draw from the prior gives the observations a density.
     """
     if min(num_chains, num_draws, num_warmup) < 1 or (num_particles is not None and num_particles < 1):
         raise InputError("expected at least one chain, draw, warm-up step and particle")
-    space = UnconstrainedParameters(model)
-    observations = observations.double()
+    space, observations = checked(model, observations)
     with seeded(derived(seed, CHAIN)):
         found = run_chains(
             space,

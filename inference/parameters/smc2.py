@@ -34,7 +34,7 @@ from invdyn.inference.filters.resampling import ess, resample
 from invdyn.inference.parameters.filter_bank import FilterBank, GuideOf, run_bank
 from invdyn.inference.parameters.posterior import ParameterPosterior, combine_runs
 from invdyn.inference.parameters.random_walk import Walkers, metropolis, step_root, weighted_moments
-from invdyn.inference.parameters.unconstrained import UnconstrainedParameters
+from invdyn.inference.parameters.unconstrained import UnconstrainedParameters, checked
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.recordings import InputError
 
@@ -98,8 +98,9 @@ def smc2(
         executor: whose workers do the runs.
         checkpoint: keeps the runs that are done.
 
-    Raises InputError for a model without priors, for one that does not take many parameter sets at once, and for sizes
-    that make no run; SMCFailed when all parameters lose their likelihood at a row; LostWork when workers died.
+    Raises InputError for a model that does not fit its rows, has no priors or does not take many parameter sets at
+    once, and for sizes that make no run; SMCFailed when all parameters lose their likelihood at a row; LostWork when
+    workers died.
     """
     options = SMC2Options(
         num_draws, num_particles, max_particles, num_moves, ess_threshold, min_acceptance, guide, paths
@@ -107,8 +108,7 @@ def smc2(
     options.check()
     if num_runs < 1:
         raise InputError(f"expected at least one run, got {num_runs}")
-    space = UnconstrainedParameters(model)
-    observations = observations.double()
+    space, observations = checked(model, observations)
     parts = distribute(
         run_once,
         [(space, observations, options, derived(seed, number)) for number in range(num_runs)],

@@ -11,13 +11,14 @@ states (M, N, D) of M filters with N particles each.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import pyro
 import torch
 from torch import Tensor
 from torch.distributions import biject_to
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.execution.seeds import seeded
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.recordings import InputError
@@ -135,6 +136,16 @@ class UnconstrainedParameters(Generic[M]):
     def _alone(self, name: str, value: Tensor) -> Tensor:
         """One set's value with as many dimensions as the model's parameter has."""
         return value.reshape([1] * (self.model.parameters[name].ndim - value.ndim) + list(value.shape))
+
+
+def checked(model: M, observations: Any) -> tuple[UnconstrainedParameters[M], Tensor]:
+    """The parameters of a model with priors, and its rows (T, O) in float64, both checked.
+
+    Raises InputError as :func:`.check_model` and :class:`UnconstrainedParameters` do.
+    """
+    check_model(model, observations)
+    space = UnconstrainedParameters(model)
+    return space, check_model(space.model, observations)
 
 
 def _log_densities(model: StateSpaceModel, x: Tensor, y: Tensor) -> Tensor:

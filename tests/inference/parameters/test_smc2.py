@@ -9,6 +9,7 @@ import torch
 from parameter_answers import Quadrature, simulated
 from pyro.infer.smcfilter import SMCFailed
 
+from invdyn.inference.parameters.pmmh import pmmh
 from invdyn.inference.parameters.smc2 import smc2
 from invdyn.recordings import InputError
 
@@ -96,9 +97,16 @@ def test_what_cannot_be_run_is_refused(case):
         smc2(model, y, num_runs=0)
 
 
-def test_a_row_that_no_parameter_explains_is_named():
-    model, y = simulated("counts")
+def test_rows_that_do_not_fit_the_model_are_refused(case):
+    model, y, _ = case
+    for sample in (smc2, pmmh):
+        with pytest.raises(InputError, match=r"observations: expected rows \(15, 1\)"):
+            sample(model, y[:9])
+
+
+def test_a_row_that_no_parameter_explains_is_named(case):
+    model, y, _ = case
     y = y.clone()
-    y[7] = -1.0
+    y[7] = 1e200
     with pytest.raises(SMCFailed, match="all parameters have likelihood zero at row 7"):
         smc2(model, y, num_draws=10, num_particles=10, num_runs=1)
