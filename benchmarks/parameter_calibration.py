@@ -5,8 +5,8 @@ Talts et al. (2018), as in calibration.py: θ* from the prior, states and observ
 the number of quantities (Bonferroni). Quantities: each parameter, and the state of the middle row.
 
 PMMH runs the chains of all simulations as one batch of filters, each simulation with its own adaptation; every 20th
-draw counts. Its evidence is by importance sampling squared, Ẑ_IS, with a standard error for each simulation. Both estimates
-are unbiased, so that the ratio Ẑ_SMC² / Ẑ_IS has mean one but for the error of Ẑ_IS, about its variance.
+draw counts. Its evidence is by importance sampling squared, Ẑ_IS, with a standard error for each simulation. Both
+estimates are unbiased, so that the ratio Ẑ_SMC² / Ẑ_IS has mean one but for the error of Ẑ_IS, about its variance.
 
     python benchmarks/parameter_calibration.py              a table
     --simulations 200   --rows 25   --particles 50   --models linear,volatility,counts   --workers 2

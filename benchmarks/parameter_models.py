@@ -36,7 +36,7 @@ class Linear(StateSpaceModel):
         self.num_steps = num_steps
 
     def initial(self) -> dist.Distribution:
-        return dist.Normal(number(0.0), number(1.0)).to_event(1)
+        return dist.Normal(torch.zeros(1, dtype=self.dtype), 1.0).to_event(1)
 
     def transition(self, state: Tensor, t: int | Tensor) -> dist.Distribution:
         return dist.Normal(self.decay * state, self.parameters["process_sd"]).to_event(1)

@@ -8,7 +8,7 @@ of the posterior.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -163,11 +163,11 @@ def to_inference_data(result: ParameterPosterior, observations: Tensor | None = 
             **result.statistics,
         }
     )
-    groups = {"posterior": posterior, "sample_stats": stats}
+    groups: dict[str, Any] = {"posterior": posterior, "sample_stats": stats}
     if observations is not None:
         groups["observed_data"] = xr.Dataset({"y": (["time", "observation_dim"], observations.numpy())})
     return az.InferenceData(**groups)
 
 
-def _flat(data: "object") -> np.ndarray:
-    return np.concatenate([np.atleast_1d(value.values).ravel() for value in data.data_vars.values()])  # type: ignore[attr-defined]
+def _flat(data: Any) -> np.ndarray:
+    return np.concatenate([np.atleast_1d(value.values).ravel() for value in data.data_vars.values()])

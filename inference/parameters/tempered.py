@@ -44,12 +44,13 @@ class ParticleLikelihood:
     """Log Ẑ (M,) of ``observations`` (T, O) by filters of ``num_particles``, as a :data:`LikelihoodOf`."""
 
     def __init__(self, observations: Tensor, num_particles: int, guide: GuideOf = Bootstrap):
-        self.observations, self.num_particles, self.guide = observations.double(), num_particles, guide
+        self.observations, self.num_particles, self.guide = observations, num_particles, guide
 
     def __call__(self, model: StateSpaceModel) -> Tensor:
         """Of each parameter set of the model, −∞ where it is impossible."""
         sets = len(next(iter(model.parameters[name] for name in model.priors)))
-        return run_bank(model, self.observations, sets, self.num_particles, guide=self.guide).log_evidence
+        rows = self.observations.to(model.dtype)
+        return run_bank(model, rows, sets, self.num_particles, guide=self.guide).log_evidence
 
 
 def tempered(

@@ -35,7 +35,7 @@ class UnconstrainedParameters(Generic[M]):
     """The parameters of ``model`` that have priors, as vectors z (..., P).
 
     Attributes:
-        model: in float64.
+        model: whose type the parameters get; z is in float64.
         names: of the parameters, in the order of z.
         shapes: own shape of each prior's draw, batch and event dimensions together.
         size: P.
@@ -48,7 +48,7 @@ class UnconstrainedParameters(Generic[M]):
         if not model.priors:
             raise InputError("expected a model with priors, got none: model.with_priors(**{name: distribution})")
 
-        self.model = model.to(dtype=torch.float64)
+        self.model = model
         self.names = tuple(model.priors)
         self.priors = dict(model.priors)
         self.shapes = {name: prior.shape() for name, prior in self.priors.items()}
@@ -94,7 +94,8 @@ class UnconstrainedParameters(Generic[M]):
             own = self.model.parameters[name].ndim
             # A prior of fewer dimensions than its parameter is shared by all entries.
             padding = own - (value.ndim - 1) if own else self._scalar_padding
-            batch[name] = value.reshape(len(value), 1, *[1] * padding, *value.shape[1:])
+            shaped = value.reshape(len(value), 1, *[1] * padding, *value.shape[1:])
+            batch[name] = shaped.to(self.model.parameters[name])
         return self.model.replace(**batch)
 
     def _split(self, z: Tensor) -> Iterator[tuple[str, Tensor]]:
@@ -124,7 +125,7 @@ class UnconstrainedParameters(Generic[M]):
                     except Exception as error:  # a model of one's own may fail in any way
                         failures.append(first_line(error))
                         continue
-                    if torch.allclose(found, expected, rtol=1e-4, atol=1e-6, equal_nan=True):
+                    if torch.allclose(found, expected, rtol=1e-3, atol=1e-3, equal_nan=True):
                         return
                     failures.append("other densities than one set by itself")
         shapes = {name: (PROBE_SETS, 1, *self.model.parameters[name].shape) for name in self.names}
@@ -135,17 +136,17 @@ class UnconstrainedParameters(Generic[M]):
 
     def _alone(self, name: str, value: Tensor) -> Tensor:
         """One set's value with as many dimensions as the model's parameter has."""
-        return value.reshape([1] * (self.model.parameters[name].ndim - value.ndim) + list(value.shape))
+        own = self.model.parameters[name]
+        return value.reshape([1] * (own.ndim - value.ndim) + list(value.shape)).to(own)
 
 
 def checked(model: M, observations: Any) -> tuple[UnconstrainedParameters[M], Tensor]:
-    """The parameters of a model with priors, and its rows (T, O) in float64, both checked.
+    """The parameters of a model with priors, and its rows (T, O) in the model's type, both checked.
 
     Raises InputError as :func:`.check_model` and :class:`UnconstrainedParameters` do.
     """
-    check_model(model, observations)
-    space = UnconstrainedParameters(model)
-    return space, check_model(space.model, observations)
+    observations = check_model(model, observations)
+    return UnconstrainedParameters(model), observations
 
 
 def _log_densities(model: StateSpaceModel, x: Tensor, y: Tensor) -> Tensor:

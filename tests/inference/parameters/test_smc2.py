@@ -110,3 +110,11 @@ def test_a_row_that_no_parameter_explains_is_named(case):
     y[7] = 1e200
     with pytest.raises(SMCFailed, match="all parameters have likelihood zero at row 7"):
         smc2(model, y, num_draws=10, num_particles=10, num_runs=1)
+
+
+def test_a_model_in_single_precision_has_the_same_answer(case):
+    model, y, exact = case
+    single = model.replace(**{name: value.float() for name, value in model.parameters.items()})
+    result = smc2(single, y.float(), num_draws=100, num_particles=40, num_runs=5)
+    assert result.paths.dtype == torch.float32
+    assert abs(result.log_evidence - exact.log_evidence[-1]) < 3 * result.log_evidence_sd
