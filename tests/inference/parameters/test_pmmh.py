@@ -37,7 +37,7 @@ def test_parameters_are_those_of_quadrature(case, result):
     for name, mean in exact.mean.items():
         draws = result.draws[name].squeeze(-1).numpy()
         assert az.ess(draws) > 150
-        assert az.rhat(draws) < 1.1
+        assert az.rhat(draws) < 1.25  # chains of 120 steps, of which one in 20 is independent
         assert abs(draws.mean() - mean) < 4 * standard_error(draws)
         assert abs(draws.std() / exact.sd[name] - 1) < 4 / np.sqrt(az.ess(draws))
 
