@@ -29,6 +29,7 @@ COMMANDS = {
     "panda": "panda.py --seconds 1 --seeds 1 --results build/panda.jsonl",
     "cost": "cost.py",
     "calibration": "calibration.py",
+    "parameter_calibration": "parameter_calibration.py",
     "dfki_torque": "dfki_torque.py",
     "filters": "filters.py",
     "gpu": "gpu.py",

@@ -58,6 +58,13 @@ from .methods.registry import METHODS as METHODS
 from .methods.smc import smc as smc
 from .methods.svi import svi as svi
 from .methods.variational_smc import vsmc as vsmc
+from .parameters.filter_bank import FilterBank as FilterBank
+from .parameters.pmmh import pmmh as pmmh
+from .parameters.posterior import ParameterPosterior as ParameterPosterior
+from .parameters.smc2 import smc2 as smc2
+from .parameters.tempered import ParticleLikelihood as ParticleLikelihood
+from .parameters.tempered import tempered as tempered
+from .parameters.unconstrained import UnconstrainedParameters as UnconstrainedParameters
 from .posterior.initialise import Problem as Problem
 from .posterior.initialise import arm_problem as arm_problem
 from .posterior.mechanics import mechanics as mechanics

@@ -38,7 +38,17 @@ def test_imports_go_one_way(room):
 
 STAGES = {
     "models": ["bodies", "torques", "dynamics", "observation", "effects", "articulated"],
-    "inference": ["execution", "smoothing", "filters", "fitting", "variational", "mcmc", "posterior", "methods"],
+    "inference": [
+        "execution",
+        "smoothing",
+        "filters",
+        "fitting",
+        "variational",
+        "mcmc",
+        "parameters",
+        "posterior",
+        "methods",
+    ],
     "diagnosis": ["problem", "sensitivity", "prediction", "hypotheses", "assessment", "check", "write_back", "report"],
 }
 """Rooms of a room, each importing only those before it; a file beside them stands after the last of what it imports."""
@@ -74,7 +84,7 @@ def test_a_report_is_only_read():
     ]
 
 
-GENERIC = ("execution", "smoothing", "filters", "fitting", "variational", "mcmc")
+GENERIC = ("execution", "smoothing", "filters", "fitting", "variational", "mcmc", "parameters")
 """Rooms of inference that need no more than a ``StateSpaceModel``."""
 
 
