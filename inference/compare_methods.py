@@ -44,7 +44,8 @@ def compare_methods(
     Args:
         model: any state-space model.
         rows: (T, O) observations, NaN where missing.
-        methods: keys of ``METHODS`` that need no body; one that fails leaves a row with its reason.
+        methods: keys of ``METHODS`` that need no body, or of ``PARAMETER_METHODS``; one that fails leaves a row with
+            its reason.
         truth: (T, D) states to score against, NaN where unknown.
         seed: same seed, same result (but for seconds and memory).
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.

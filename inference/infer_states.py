@@ -19,7 +19,7 @@ from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.methods.registry import DISTRIBUTED, LEARN_PARAMETERS, METHODS, OF_ARMS, RESUMED
+from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, OF_ARMS, PARAMETER_METHODS, RESUMED
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.models.state_space import StateSpaceModel
 
@@ -44,21 +44,21 @@ class StateSpaceTask:
 
     def run(self, method: str, progress: Progress | None = None, executor: Executor | None = None) -> az.InferenceData:
         """Posterior by ``method``. Raises ModelError where it cannot serve the model."""
-        if method not in METHODS:
-            raise ModelError(f"expected a method among {', '.join(generic_methods())}, got {method!r}")
         if method in OF_ARMS:
             raise ModelError(f"{method} needs a body, and a state-space model has none: use another method")
-        learned = method in LEARN_PARAMETERS
+        if method not in generic_methods():
+            raise ModelError(f"expected a method among {', '.join(generic_methods())}, got {method!r}")
+        learned = method in PARAMETER_METHODS
         if self.problem.uncertain and not learned:
             raise ModelError(
                 f"{method} takes parameters as they are, and {', '.join(self.problem.uncertain)} has a prior: use "
-                f"{' or '.join(sorted(LEARN_PARAMETERS))}, or a model without priors"
+                f"{' or '.join(PARAMETER_METHODS)}, or a model without priors"
             )
         if learned and not self.problem.uncertain:
             raise ModelError(f"{method} learns parameters, and none has a prior: give some by model.with_priors(…)")
         places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
         places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}
-        return METHODS[method](
+        return (PARAMETER_METHODS if learned else METHODS)[method](
             self.problem,
             options=self.options,
             seed=self.seed,
@@ -71,7 +71,7 @@ class StateSpaceTask:
 
 def generic_methods() -> tuple[str, ...]:
     """Names of the methods that take any state-space model."""
-    return tuple(name for name in METHODS if name not in OF_ARMS)
+    return (*(name for name in METHODS if name not in OF_ARMS), *PARAMETER_METHODS)
 
 
 def infer_states(
@@ -96,7 +96,7 @@ def infer_states(
     Args:
         model: any state-space model.
         rows: (T, O) observations, NaN where missing.
-        method: a key of ``METHODS`` that needs no body.
+        method: a key of ``METHODS`` that needs no body, or of ``PARAMETER_METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.
         progress: called with (done, total, what).

@@ -196,5 +196,5 @@ def posterior(problem: DiagnosisProblem, cause: FittedHypothesis, confirmed: Con
             method="diagnosis",
             seed=seed,
             settings={"cause": cause.key, "regime": problem.regime.name},
-            parameters={f"effect.{name}": each for name, each in values.items()},
+            parameters={f"effect.{name}": each[:, None].expand(paths.shape[:2]) for name, each in values.items()},
         )

@@ -14,10 +14,13 @@ import arviz as az
 from invdyn.inference.methods.differentiate import differentiate
 from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.methods.nuts import nuts
+from invdyn.inference.methods.parameters import learn_parameters
 from invdyn.inference.methods.particle_gibbs import particle_gibbs
 from invdyn.inference.methods.smc import smc
 from invdyn.inference.methods.svi import svi
 from invdyn.inference.methods.variational_smc import vsmc
+from invdyn.inference.parameters.pmmh import pmmh
+from invdyn.inference.parameters.smc2 import smc2
 
 Method = Callable[..., az.InferenceData]
 """Called as :func:`.smc.smc` is."""
@@ -63,10 +66,13 @@ METHODS: dict[str, Method] = {
 OF_ARMS = frozenset({"differentiate"})
 """Methods that need a body; all others take any state-space model."""
 
-LEARN_PARAMETERS: frozenset[str] = frozenset()
-"""Methods that learn parameters with priors."""
+PARAMETER_METHODS: dict[str, Method] = {
+    "pmmh": timed(partial(learn_parameters, sampler=pmmh)),
+    "smc2": timed(partial(learn_parameters, sampler=smc2)),
+}
+"""Methods of any model whose parameters have priors, which they learn."""
 
-DISTRIBUTED = frozenset({"smc", "nested", "bootstrap", "particle-gibbs"})
+DISTRIBUTED = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "smc2"})
 """Methods that an executor's workers share."""
 
 RESUMED = DISTRIBUTED | {"vsmc"}

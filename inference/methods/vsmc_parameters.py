@@ -116,7 +116,8 @@ class OverParameters(Learner):
         )
         # Those of a body are constants of each part, and become variables where parts are combined.
         names = [f.name for f in self.log_parameters.free if not f.name.startswith("body.")]
-        values = {name: problem.model.parameters[name][None] for name in names}
+        parameters = problem.model.parameters
+        values = {name: parameters[name].expand(1, paths.shape[1], *parameters[name].shape) for name in names}
         return to_inference_data(
             problem, paths[m : m + 1], own, method="vsmc", seed=seed, settings=settings, parameters=values
         )

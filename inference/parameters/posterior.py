@@ -1,30 +1,20 @@
-"""What a sampler of parameters returns, and the same as ``arviz.InferenceData``.
+"""What a sampler of parameters returns.
 
 Chains are Markov chains (PMMH) or independent runs (SMC², tempered SMC); runs weigh exp(log_weight), draws within a run
-likewise. :func:`to_inference_data` resamples weighted draws, so that ArviZ's summaries of all chains together are those
-of the posterior.
+likewise. :func:`.methods.parameters.learn_parameters` makes InferenceData of it.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
-from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.nested import outer_weights
-from invdyn.inference.filters.resampling import ess, resample
+from invdyn.inference.filters.resampling import ess
 from invdyn.inference.parameters.unconstrained import UnconstrainedParameters
-
-if TYPE_CHECKING:
-    import arviz as az
-
-RESAMPLING = 7_207_207
-"""Place of the random numbers of resampled draws among those of a run."""
 
 
 @dataclass(frozen=True)
@@ -105,69 +95,3 @@ def combine_runs(
         num_particles=num_particles,
         statistics={"outer_ess": outer.ess},
     )
-
-
-def to_inference_data(result: ParameterPosterior, observations: Tensor | None = None) -> "az.InferenceData":
-    """InferenceData with one variable a parameter, dims chain and draw; "state" [chain, draw, time, state_dim] if kept.
-
-    ``sample_stats`` has log_likelihood [chain, draw] and acceptance_rate [chain]; its attributes have the evidence, the
-    largest R-hat, the smallest bulk and tail ESS of any parameter, and the method's statistics. ``observed_data`` has
-    the observations (T, O) if they are given.
-
-    Weighted draws are resampled: chains keep their number of draws, and all draws together are the posterior's.
-    """
-    import arviz as az
-    import xarray as xr
-
-    chains, draws = result.log_weights.shape
-    index = torch.arange(chains * draws)
-    if result.ess < (1 - 1e-9) * chains * draws:
-        with seeded(derived(result.seed, RESAMPLING)):
-            index = resample(result.log_weights.reshape(1, -1))[0]
-            # Systematic resampling sorts by run; a run with more weight would fill more than one chain in a row.
-            index = index[torch.randperm(len(index))]
-
-    def picked(values: Tensor) -> np.ndarray:
-        return values.flatten(0, 1)[index].unflatten(0, (chains, draws)).numpy()
-
-    def dataset(variables: Mapping[str, Tensor]) -> xr.Dataset:
-        arrays = {}
-        for name, values in variables.items():
-            own = [f"{name}_dim_{k}" for k in range(values.ndim - 2)]
-            own = ["time", "state_dim"] if name == "state" else own
-            arrays[name] = (["chain", "draw", *own], picked(values))
-        return xr.Dataset(arrays, coords={"chain": np.arange(chains), "draw": np.arange(draws)})
-
-    posterior = dataset(result.draws)
-    # Before resampling: copies of one draw would count as a chain that stands still.
-    raw = xr.Dataset(
-        {name: (posterior[name].dims, values.numpy()) for name, values in result.draws.items()}, posterior.coords
-    )
-    mixing = {"r_hat": az.rhat(raw), "ess_bulk": az.ess(raw, method="bulk"), "ess_tail": az.ess(raw, method="tail")}
-    worst = {name: float(np.nanmax(_flat(v)) if name == "r_hat" else np.nanmin(_flat(v))) for name, v in mixing.items()}
-
-    if result.paths is not None:
-        posterior = posterior.merge(dataset({"state": result.paths}))
-    stats = dataset({"log_likelihood": result.log_likelihood})
-    stats["acceptance_rate"] = (["chain"], result.acceptance.numpy())
-    if result.log_evidence_increment is not None:
-        stats["log_evidence_increment"] = (["time"], result.log_evidence_increment.numpy())
-    stats.attrs.update(
-        {
-            "method": result.method,
-            "log_evidence": result.log_evidence,
-            "log_evidence_sd": result.log_evidence_sd,
-            "weight_ess": result.ess,
-            "num_particles": result.num_particles,
-            **worst,
-            **result.statistics,
-        }
-    )
-    groups: dict[str, Any] = {"posterior": posterior, "sample_stats": stats}
-    if observations is not None:
-        groups["observed_data"] = xr.Dataset({"y": (["time", "observation_dim"], observations.numpy())})
-    return az.InferenceData(**groups)
-
-
-def _flat(data: Any) -> np.ndarray:
-    return np.concatenate([np.atleast_1d(value.values).ravel() for value in data.data_vars.values()])

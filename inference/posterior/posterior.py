@@ -60,6 +60,7 @@ def to_inference_data(
     diagnostics: Mapping[str, float | str] | None = None,
     statistics: Mapping[str, np.ndarray] | None = None,
     parameters: Mapping[str, Tensor] | None = None,
+    log_weights: Tensor | None = None,
 ) -> az.InferenceData:
     """Assemble InferenceData.
 
@@ -75,7 +76,8 @@ def to_inference_data(
         bound: whether the evidence is a lower bound.
         diagnostics: numbers and words for the attributes of sample_stats.
         statistics: of each draw (M, R), for sample_stats, by the names that ArviZ knows.
-        parameters: values (M, …) that differ between chains, which become variables of the posterior.
+        parameters: values (M, R, …) that differ between draws, which become variables of the posterior.
+        log_weights: (M, R) of each draw; that of its chain by default.
 
     Draws are equally weighted at last (:func:`equally_weighted`), by random numbers of torch's global generator.
     """
@@ -100,9 +102,7 @@ def to_inference_data(
         }
     stats |= {name: (DRAWS, values) for name, values in (statistics or {}).items()}
 
-    own: Variables = {
-        name: _of_chains(name, values, contents, paths.shape[1]) for name, values in (parameters or {}).items()
-    }
+    own = {name: _of_draws(name, values, contents) for name, values in (parameters or {}).items()}
     posterior = _dataset(contents, contents.posterior | own)
     for name in own:  # whose unit only the caller knows
         del posterior[name].attrs["units"]
@@ -132,7 +132,8 @@ def to_inference_data(
             "invdyn_version": version("invdyn"),
         }
     )
-    return equally_weighted(idata, outer.log_weights.repeat_interleave(paths.shape[1]), _chains(*paths.shape[:2]))
+    weights = outer.log_weights.unsqueeze(-1).expand(paths.shape[:2]) if log_weights is None else log_weights
+    return equally_weighted(idata, weights.flatten(), _chains(*paths.shape[:2]))
 
 
 UNITS = {
@@ -161,11 +162,11 @@ def _dataset(contents: Contents, variables: Variables, coords: Mapping[str, Any]
     return out
 
 
-def _of_chains(name: str, values: Tensor, contents: Contents, draws: int) -> tuple[list[str], Tensor]:
-    """A chain's values (M, …) as those of its draws; an entry is a joint's where there are as many as joints."""
+def _of_draws(name: str, values: Tensor, contents: Contents) -> tuple[list[str], Tensor]:
+    """Values (M, R, …) with their dimensions; an entry is a joint's where there are as many as joints."""
     joints = len(contents.coords.get("joint", ()))
-    dims = ["joint" if size == joints else f"{name}_dim_{axis}" for axis, size in enumerate(values.shape[1:])]
-    return [*DRAWS, *dims], values.unsqueeze(1).expand(-1, draws, *values.shape[1:])
+    own = ["joint" if size == joints else f"{name}_dim_{axis}" for axis, size in enumerate(values.shape[2:])]
+    return [*DRAWS, *own], values
 
 
 def _equal_weights(chains: int, log_evidence: float, sd: float) -> OuterWeights:

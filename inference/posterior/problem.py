@@ -95,7 +95,7 @@ class StateSpaceProblem:
             posterior={"state": ([*DRAWS, "time", "state_name"], paths)},
             predictive={"y": ([*DRAWS, *row], rows.squeeze(-1) if single else rows)},
             observed={"y": (row, observed.squeeze(-1) if single else observed)},
-            constants=_constants(model.parameters),
+            constants=_constants({name: v for name, v in model.parameters.items() if name not in model.priors}),
             coords={"time": np.arange(len(observed)), "state_name": states, "column": columns},
             attributes={"data": self.name, "model": type(model).__name__, "layout": STATES},
         )

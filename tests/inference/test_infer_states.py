@@ -6,13 +6,13 @@ import arviz as az
 import numpy as np
 import pytest
 import torch
-from oracles import kalman, random_chain, rts
+from oracles import Chain, kalman, random_chain, rts
 from pyro.distributions import Normal
 
 from invdyn.inference import compare_methods, infer_states, load_posterior, pooled, save_posterior
 from invdyn.inference.contract import ModelError
 from invdyn.inference.infer_states import generic_methods
-from invdyn.inference.methods.registry import LEARN_PARAMETERS, WITHOUT_EVIDENCE
+from invdyn.inference.methods.registry import PARAMETER_METHODS, WITHOUT_EVIDENCE
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning"),
@@ -28,7 +28,7 @@ QUICK = {
     "svi-markov": {"max_steps": 200},
     "vsmc": {"steps": 2},
 }
-METHODS = [name for name in generic_methods() if name not in LEARN_PARAMETERS]
+METHODS = [name for name in generic_methods() if name not in PARAMETER_METHODS]
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +119,43 @@ def test_priors_need_a_method_that_learns_parameters(linear):
     uncertain = model.with_priors(mean=Normal(torch.zeros(D, dtype=torch.float64), 1.0).to_event(1))
     with pytest.raises(ModelError, match="smc takes parameters as they are, and mean has a prior"):
         infer_states(uncertain, rows)
+
+
+@pytest.mark.parametrize("method", ["pmmh", "smc2"])
+def test_parameters_with_priors_are_learned(method):
+    """A level that is seen 12 times with known noise: its mean has a Gaussian posterior, known exactly."""
+    few = {"pmmh": {"num_chains": 4, "num_draws": 400, "num_warmup": 200, "num_particles": 150, "evidence_draws": 400}}
+    chain = random_chain(3, dim=1, size=1)
+    _, rows = chain.simulate(T, 1)
+    model = chain.model(T).with_priors(mean=Normal(torch.zeros(1, dtype=torch.float64), 1.0).to_event(1))
+    arguments = few.get(method, {"num_draws": 100, "num_particles": 30})
+    idata = infer_states(model, rows, method=method, seed=1, **arguments)
+
+    # Integrated over N(0, 1): the same chain with a wider first state.
+    wide = Chain(chain.A, chain.Q, chain.C, chain.R, 0 * chain.m, chain.P + 1)
+    means, covariances = rts(wide, rows)
+    gain = 1 / wide.P[0, 0]
+    mean = gain * means[0, 0]
+    sd = np.sqrt(1 - gain + gain**2 * covariances[0, 0, 0])
+    drawn = idata["posterior"]["mean"]
+    assert drawn.dims == ("chain", "draw", "mean_dim_0")
+    size = float(az.ess(idata, var_names=["mean"])["mean"].min())
+    assert size > 50
+    assert float(drawn.mean()) == pytest.approx(mean, abs=4 * sd / np.sqrt(size))
+    assert float(drawn.std()) == pytest.approx(sd, rel=4 / np.sqrt(size))
+    evidence = kalman(wide, rows)[0]
+    assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=4 * idata.attrs["log_evidence_sd"] + 0.02)
+
+    # States belong to the parameters of their draw.
+    assert idata["posterior"]["state"].shape[2:] == (T, 1)
+    assert np.isfinite(az.loo(idata, var_name="y").elpd_loo)
+    assert "mean" not in idata["constant_data"]
+
+
+def test_learning_parameters_needs_priors(linear):
+    model, rows, *_ = linear
+    with pytest.raises(ModelError, match="pmmh learns parameters, and none has a prior"):
+        infer_states(model, rows, method="pmmh")
 
 
 def test_what_has_no_body_is_refused_in_one_line(linear):
