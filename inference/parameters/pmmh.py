@@ -13,7 +13,8 @@ N, if not given, makes the sd of log Ẑ about 1.2 at a central parameter (Pitt 
 variance falls as 1/N, so that N ← N (sd/1.2)² until the sd lies in (1, 1.5). The first half of the warm-up finds the
 central parameter; the second half adapts the walk with the N that was chosen.
 
-The evidence comes by importance sampling squared (:mod:`.importance`).
+The evidence comes by importance sampling squared (:mod:`.importance`). Where the sd of log Ẑ stays above 2.5 nats the
+result is not usable: "usable" is 0 among its statistics, and the evidence has no standard error.
 
 Shapes: S recordings (one for :func:`pmmh`), C chains of each, z (S, C, P).
 """
@@ -48,6 +49,8 @@ SD_TARGET, SD_RANGE = 1.2, (1.0, 1.5)
 """Standard deviation of log Ẑ, nats, that the number of particles aims at, and where it is left."""
 SD_FILTERS, SD_TRIALS = 64, 6
 """Filters that the sd is measured with, and numbers of particles that are tried, at most."""
+NOISE_LIMIT = 2.5
+"""Standard deviation σ of log Ẑ, nats, beyond which the chains stick and e^σ² draws do not average the noise out."""
 FIRST_PARTICLES, MIN_PARTICLES, MAX_PARTICLES = 100, 10, 100_000
 """Of a filter, where no number is given."""
 
@@ -125,6 +128,7 @@ def pmmh(
 
         with seeded(derived(seed, EVIDENCE)):
             evidence, evidence_sd = importance_evidence(space, z.flatten(0, 1), log_likelihood, evidence_draws)
+    usable = found.log_evidence_sd.item() < NOISE_LIMIT
     return ParameterPosterior(
         method="pmmh",
         seed=seed,
@@ -133,10 +137,10 @@ def pmmh(
         log_likelihood=found.log_likelihood[0],
         acceptance=found.acceptance[0],
         log_evidence=evidence,
-        log_evidence_sd=evidence_sd,
+        log_evidence_sd=evidence_sd if usable else math.nan,
         paths=None if found.paths is None else found.paths[0],
         num_particles=found.num_particles,
-        statistics={"log_likelihood_sd": found.log_evidence_sd.item()},
+        statistics={"log_likelihood_sd": found.log_evidence_sd.item(), "usable": float(usable)},
     )
 
 

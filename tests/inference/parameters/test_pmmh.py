@@ -79,6 +79,17 @@ def test_it_chooses_particles_by_the_noise_of_the_likelihood(case):
     assert np.isnan(few.log_evidence)
 
 
+def test_a_likelihood_too_noisy_to_use_is_marked(result):
+    model, y = simulated("counts")
+    y = y.clone()
+    y[-1] = 2581  # which 20 particles do not reach
+    few = pmmh(model, y, num_chains=4, num_warmup=20, num_draws=2, num_particles=20, paths=False, evidence_draws=50)
+    assert few.statistics["log_likelihood_sd"] > 2.5
+    assert few.statistics["usable"] == 0
+    assert np.isnan(few.log_evidence_sd)
+    assert result.statistics["usable"] == 1
+
+
 def test_several_recordings_at_once_have_each_their_own_posterior(case):
     model, y, exact = case
     other = -0.4 * y
