@@ -79,9 +79,9 @@ def infer_states(
     rows: torch.Tensor | np.ndarray,
     *,
     method: str = "smc",
-    num_filters: int = 64,
-    num_particles: int = 100,
-    num_draws: int = 4,
+    num_filters: int | None = None,
+    num_particles: int | None = None,
+    num_draws: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     device: str = "cpu",
@@ -97,7 +97,8 @@ def infer_states(
         model: any state-space model.
         rows: (T, O) observations, NaN where missing.
         method: a key of ``METHODS`` that needs no body, or of ``PARAMETER_METHODS``.
-        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
+        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter; by default 64, 100 and 4. Of
+            "pmmh" and "smc2" particles and draws have the meaning and the default that these have.
         seed: same seed, same result.
         progress: called with (done, total, what).
         device: of the particle filters, "cpu" or "cuda".
@@ -113,7 +114,11 @@ def infer_states(
     Raises ModelError, a ValueError of one line, for a model that contradicts itself or its rows, or a method that
     cannot serve it; InputError for sizes that no machine has; SMCFailed where all particles have weight zero.
     """
-    options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
+    sizes = {"num_filters": num_filters, "num_particles": num_particles, "num_draws": num_draws}
+    given = {size: value for size, value in sizes.items() if value is not None}
+    options = SMCOptions(**given, device=device, filters_per_task=filters_per_task)
+    if method in PARAMETER_METHODS:
+        arguments = given | arguments
     return state_space_task(model, rows, options, seed, checkpoint, name, {method: arguments}).run(
         method, progress, executor
     )

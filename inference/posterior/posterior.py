@@ -248,7 +248,7 @@ def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) 
     (global seed).
     """
     size = [idata["posterior"].sizes[dim] for dim in DRAWS]
-    same = bool((log_weights == log_weights[0]).all())
+    same = torch.allclose(log_weights, log_weights[:1], rtol=0.0, atol=1e-9)
     chosen = torch.arange(len(log_weights)) if same else resample(log_weights[None], "systematic")[0]
     index = np.unravel_index(chosen.reshape(chains, -1).numpy(), size)
     pick = {dim: xr.DataArray(each, dims=DRAWS) for dim, each in zip(DRAWS, index, strict=True)}
