@@ -68,7 +68,7 @@ def particle_gibbs(
     checkpoint = inside(checkpoint, f"particle-gibbs-{guide}")
     smoother = None
     if guide == "controlled":
-        smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
+        smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide")).smoother
     sweeps, sizes = warmup + thin * options.num_draws, options.tasks()
     parts = distribute(
         run_chains,

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from hypothesis import given, settings
@@ -124,9 +125,11 @@ def test_to_dict_is_json(comparison):
 
 def test_same_seed_same_table_and_another_method_beside_it_changes_nothing(comparison, data):
     recording, truth = data
-    again = compare(recording, ARM, ["smc"], truth=truth, seed=1, **SMALL).table.drop(columns=["seconds", "memory"])
+    timed = ["seconds", "memory", "ess_per_second"]
+    again = compare(recording, ARM, ["smc"], truth=truth, seed=1, **SMALL).table.drop(columns=timed)
     first = comparison.table.loc[["smc"], again.columns]
-    assert again.equals(first)
+    # Next to a method without numbers, counts are floats.
+    pd.testing.assert_frame_equal(again, first, check_dtype=False, check_exact=True)
 
 
 def test_parameters_are_fitted_once_for_all_methods(data, monkeypatch):
