@@ -60,7 +60,10 @@ COLUMNS = (
 class Runnable(Protocol):
     """A fitted problem that any method runs on; a dataclass with ``seed``."""
 
-    seed: int
+    @property
+    def seed(self) -> int:
+        """Of every random number."""
+        ...
 
     def run(self, method: str, progress: Progress | None = None, executor: Executor | None = None) -> az.InferenceData:
         """Posterior by ``method``."""
@@ -89,7 +92,11 @@ class Comparison:
     held_out: int
     isolated: bool
     recording: str
-    seed: int
+
+    @property
+    def seed(self) -> int:
+        """Of every random number."""
+        ...
 
     def to_dict(self) -> dict[str, Any]:
         """All but the posteriors, as JSON has it: None where there is no number."""

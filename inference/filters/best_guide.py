@@ -133,7 +133,7 @@ def best_guide(
             torch.manual_seed(seed)
             return best_guide(model, observations, options, start=start)
     # Without a start of the model's own, the pilot's particles tell where its modes may be.
-    searched = start is None and type(model).initial_paths is StateSpaceModel.initial_paths
+    searched = start is None and not has_own_start(model)
     opinion, blind = _blind(model, observations, options) if searched else (None, None)
     try:
         like = look_alike(model)
@@ -163,6 +163,17 @@ def best_guide(
         reason = f"the {name} guide misses a part of the posterior, or is less steady"
         return Guide("bootstrap", None, size, reason=reason)
     return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence)
+
+
+def has_own_start(model: StateSpaceModel) -> bool:
+    """Whether a model says where its paths may lie, so that a linearisation starts near the posterior."""
+    return type(model).initial_paths is not StateSpaceModel.initial_paths
+
+
+def bootstrap_opinion(model: StateSpaceModel, observations: Tensor, options: SMCOptions) -> Evidence | None:
+    """Evidence of a bootstrap pilot; None where it collapses. Random numbers are torch's own (global seed)."""
+    pilot, _ = _blind(model, observations, options, keep=0)
+    return None if pilot is None else pilot.found
 
 
 def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:

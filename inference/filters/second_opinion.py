@@ -119,6 +119,21 @@ def contradiction(found: Evidence, pilot: Evidence) -> str:
     )
 
 
+def approximation_doubt(log_evidence: float, pilot: Evidence | None) -> str:
+    """Why an approximation of the evidence may not be used: the ``pilot`` is elsewhere; "" if it is not.
+
+    A linearised model may be a nat off where it is right, and is far off in a wrong mode.
+    """
+    if pilot is None:
+        return ""
+    found = Evidence(log_evidence, 0.0, math.nan, 0, True, "", "linearised")
+    error = ERRORS * _joint_sd(found, pilot) + SLACK
+    apart = pilot.standing and abs(log_evidence - pilot.log_evidence) > error
+    if not apart and not exceeds(pilot, replace(found, log_evidence=log_evidence + SLACK)):
+        return ""
+    return f"the linearised model has log evidence {log_evidence:.1f}, a bootstrap filter {pilot}: use smc"
+
+
 def _joint_sd(found: Evidence, other: Evidence) -> float:
     """Of a difference; an estimate without an error of its own, which one filter carries, adds none."""
     return math.hypot(*(0.0 if math.isnan(each.sd) else each.sd for each in (found, other)))

@@ -9,12 +9,17 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
-from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.filters.best_guide import bootstrap_opinion, has_own_start
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.second_opinion import approximation_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+
+PILOT = 1
+"""Place of the random numbers of the pilot (:func:`.seeds.derived`)."""
 
 
 def laplace(
@@ -35,9 +40,19 @@ def laplace(
         seed: of the draws.
         settings: recorded in the result's attributes.
         progress: called with (done, total, what).
+
+    Where a model has no start of its own (:meth:`.StateSpaceModel.initial_paths`) the linearisation may end in a wrong
+    mode: a bootstrap pilot is a second opinion, and the attributes "usable" and "doubt" of sample_stats say whether
+    the evidence stands.
     """
     options = options or SMCOptions()
     smoother = gaussian_smoother(problem.model, problem.observations, start)
+    opinion: dict[str, int | str] = {}
+    if start is None and not has_own_start(problem.model):
+        with seeded(derived(seed, PILOT)):
+            pilot = bootstrap_opinion(problem.model, problem.observations, options)
+        doubt = approximation_doubt(smoother.log_evidence.item(), pilot)
+        opinion = {"usable": int(not doubt), "doubt": doubt}
     with seeded(seed), torch.no_grad():
         paths = GaussianChain.of(smoother).sample((options.num_filters, options.num_draws))
         if progress is not None:
@@ -49,5 +64,5 @@ def laplace(
             seed=seed,
             settings=settings or {},
             log_evidence=smoother.log_evidence.item(),
-            diagnostics={"converged": int(smoother.converged)},
+            diagnostics={"converged": int(smoother.converged), **opinion},
         )

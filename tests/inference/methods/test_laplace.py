@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from grid_filter import grid_evidence
+from one_state import Counts, Growth
 
-from invdyn.inference import SMCOptions, infer, pooled
+from invdyn.inference import SMCOptions, infer, infer_states, pooled
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording
 
@@ -42,3 +44,24 @@ def test_draws_are_as_many_as_asked_for():
     idata = infer(record(), arm, method="laplace", num_filters=3, num_draws=5, settings=KNOWN)
     assert idata["posterior"]["torque"].shape == (3, 5, 15, 1)
     assert SMCOptions().num_filters * SMCOptions().num_draws == 256
+
+
+def test_a_linearisation_in_a_wrong_mode_is_not_usable():
+    """The growth model: Gauss–Newton ends hundreds of nats below what a bootstrap filter finds."""
+    model = Growth(30)
+    _, rows = model.simulate(seed=3)
+    idata = infer_states(model, rows, method="laplace", seed=0)
+    found = idata["sample_stats"].attrs
+    exact, _ = grid_evidence(model, rows, -40.0, 40.0)
+    assert abs(idata.attrs["log_evidence"] - exact) > 5
+    assert found["usable"] == 0
+    assert "a bootstrap filter" in found["doubt"]
+
+
+def test_a_linearisation_that_is_right_is_usable():
+    model = Counts(30)
+    _, rows = model.simulate(seed=3)
+    idata = infer_states(model, rows, method="laplace", seed=0)
+    exact, _ = grid_evidence(model, rows, -8.0, 8.0)
+    assert idata.attrs["log_evidence"] == pytest.approx(exact, abs=1.0)
+    assert idata["sample_stats"].attrs["usable"] == 1
