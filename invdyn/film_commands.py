@@ -80,7 +80,7 @@ def label(
             numbers = different(source, count, labelled, progress)
         else:
             numbers = _surprising(source, posterior, count, labelled)
-    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before, suggest)
+    server = LabelServer(numbers, read_pictures(source, numbers), names, out, suggest)
     with server:
         typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
         if browser:

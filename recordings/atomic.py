@@ -8,7 +8,7 @@ import errno
 import os
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .paths import resolved
@@ -56,3 +56,24 @@ def write_text(path: str | Path, text: str) -> None:
     """Write `text` (UTF-8) to `path` atomically. Raises OSError as `check_writable`."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+@contextmanager
+def exclusive(path: str | Path) -> Iterator[None]:
+    """Let one process at a time read, change and write `path`: a lock on its folder, which leaves no file behind.
+
+    Without effect where the system has no such lock (Windows, some network disks). Raises OSError for a folder that
+    is not there.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    descriptor = os.open(resolved(path).parent, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)  # which gives the lock up
