@@ -113,7 +113,11 @@ def test_killed_and_resumed_is_the_same(simulated, run, started):
 
 @pytest.mark.parametrize(
     "stop",
-    [pytest.param(signal.SIGINT, id="Ctrl-C"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.slow)],
+    [
+        pytest.param(signal.SIGINT, id="Ctrl-C"),
+        pytest.param(signal.SIGTERM, id="terminated", marks=pytest.mark.long),
+        pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long),
+    ],
 )
 def test_no_worker_is_left_behind(simulated, started, stop):
     call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
@@ -130,6 +134,9 @@ def test_no_worker_is_left_behind(simulated, started, stop):
     if stop == signal.SIGINT:
         assert process.returncode == 130
         assert errors.splitlines() == ["interrupted: what was not finished was not written"]
+    if stop == signal.SIGTERM:
+        assert process.returncode == 143
+        assert errors.splitlines() == ["terminated: what was not finished was not written"]
     assert not Path("p.nc").exists()
 
 
