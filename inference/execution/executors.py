@@ -6,10 +6,12 @@ Whatever follows :class:`concurrent.futures.Executor` serves as well; these are 
 import asyncio
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from threading import Thread, current_thread, main_thread
 from typing import Any
@@ -59,7 +61,8 @@ def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
     try:
-        with deaf_to_interrupt():  # the children inherit that, from before their first line of Python
+        # The children inherit the first, from before their first line of Python.
+        with deaf_to_interrupt(), script_not_run_again():
             for _ in range(pool._max_workers):  # type: ignore[attr-defined]  # it says nowhere else how many it has
                 pool.submit(os.getpid)
         # Only the workers write results: of one that is killed while it writes, the rest is then not waited for.
@@ -99,6 +102,30 @@ def deaf_to_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def script_not_run_again() -> Iterator[None]:
+    """Let processes that are begun within the block leave the program's own script alone.
+
+    Python's spawn runs that script in each worker, so that pickles find what it defines. Without a guard
+    (``if __name__ == "__main__":``) a worker then does all of its work, down to the pool, and dies there. Here work is
+    sent by value where cloudpickle is installed (:mod:`.distribute`), and the script is not needed. Without
+    cloudpickle nothing changes.
+    """
+    if find_spec("cloudpickle") is None:
+        yield
+        return
+    script = sys.modules["__main__"]
+    names = [name for name in ("__spec__", "__file__") if name in vars(script)]
+    before = {name: vars(script)[name] for name in names}
+    try:
+        for name in names:
+            setattr(script, name, None)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(script, name, value)
 
 
 def _begin() -> None:

@@ -67,10 +67,12 @@ def bits(found):
     }
     table = found.table.drop(columns=MEASURED).to_csv(float_format="%r")
     attributes = {
-        method: {k: v for k, v in idata.attrs.items() if k != "created_at"}
+        (method, name): str(value)  # a file has NumPy's own numbers
         for method, idata in found.posteriors.items()
+        for name, value in idata.attrs.items()
+        if name != "created_at"
     }
-    return table, numbers, repr(attributes), found.failures, found.notes, found.held_out
+    return table, numbers, attributes, found.failures, found.notes, found.held_out
 
 
 def test_killed_after_everything_that_it_keeps(tmp_path, killed_at_next_save):
