@@ -24,6 +24,9 @@ from invdyn.recordings.errors import first_line
 PATIENCE = 10
 """Seconds in which a scheduler must answer."""
 
+DESERTED = 60
+"""Seconds after which a cluster without any worker is given up: a worker that died is replaced sooner."""
+
 GRACE = 2
 """Seconds for what a worker is sending, before it is ended."""
 
@@ -170,6 +173,17 @@ def dask_cluster(address: str) -> Iterator[Executor]:
                 f"{address}: this Dask scheduler has no workers; start some: dask worker {address}"
             ) from None
         yield client.get_executor()
+
+
+def has_workers(executor: Executor) -> bool:
+    """Whether a Dask executor's scheduler answers and has any workers; True for other executors, which own theirs."""
+    client = getattr(executor, "_client", None)
+    if client is None:
+        return True
+    try:
+        return client.status == "running" and bool(client.scheduler_info(n_workers=1)["workers"])
+    except Exception:  # a scheduler that is gone fails in many ways
+        return False
 
 
 @contextmanager

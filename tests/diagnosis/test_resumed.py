@@ -140,7 +140,7 @@ def test_every_kind_of_unit_comes_back_as_it_was(tmp_path, case):
     for name in sorted(names)[::2]:  # what a kill might have spared
         shutil.rmtree(tmp_path / name)
     assert bits(diagnose(recording, PENDULUM, workers=2, checkpoint=tmp_path, **options)) == expected
-    assert units(tmp_path) == names
+    assert units(tmp_path) <= names  # a search that is kept needs none of its own refinements
 
 
 def test_another_diagnosis_is_refused(tmp_path, killed_after):
