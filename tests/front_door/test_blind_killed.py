@@ -61,8 +61,6 @@ def test_ended_in_the_middle_of_a_case(tmp_path, monkeypatch, run, started, numb
     assert not Path("run/diagnoses/case-0001/took.json").exists()
     took = first.read_bytes()
     process.send_signal(number)
-    if number == signal.SIGINT:
-        Path("wait").unlink()
     _, errors = process.communicate()
     assert process.returncode == code
     if code > 0:
@@ -71,7 +69,7 @@ def test_ended_in_the_middle_of_a_case(tmp_path, monkeypatch, run, started, numb
     assert not Path("run/answers.json").exists()
     assert not Path("run/scores.json").exists()
 
-    Path("wait").unlink(missing_ok=True)
+    Path("wait").unlink()
     resumed, whole = run(*call("run")), run(*call("whole"))
     assert (resumed.exit_code, whole.exit_code) == (0, 0), resumed.output + whole.output
     assert first.read_bytes() == took  # it was not diagnosed again
