@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from threading import Thread, current_thread, main_thread
 from typing import Any
@@ -113,12 +112,8 @@ def script_not_run_again() -> Iterator[None]:
 
     Python's spawn runs that script in each worker, so that pickles find what it defines. Without a guard
     (``if __name__ == "__main__":``) a worker then does all of its work, down to the pool, and dies there. Here work is
-    sent by value where cloudpickle is installed (:mod:`.distribute`), and the script is not needed. Without
-    cloudpickle nothing changes.
+    sent by value (cloudpickle, :mod:`.distribute`), and the script is not needed.
     """
-    if find_spec("cloudpickle") is None:
-        yield
-        return
     script = sys.modules["__main__"]
     names = [name for name in ("__spec__", "__file__") if name in vars(script)]
     before = {name: vars(script)[name] for name in names}

@@ -39,7 +39,6 @@ def wait_until(true):
 
 
 def test_workers_do_not_run_the_script(monkeypatch):
-    pytest.importorskip("cloudpickle")
     script = sys.modules["__main__"]
     monkeypatch.setattr(script, "__file__", "script.py", raising=False)
     monkeypatch.setattr(script, "__spec__", None)
@@ -52,7 +51,6 @@ def test_workers_do_not_run_the_script(monkeypatch):
 @pytest.mark.long
 def test_a_script_without_a_guard_runs_once(tmp_path):
     """As a notebook's cell that was saved as a file; its part of the work is defined in it."""
-    pytest.importorskip("cloudpickle")
     (tmp_path / "script.py").write_text(SCRIPT)
     done = subprocess.run(
         [sys.executable, "-W", "ignore", tmp_path / "script.py"], capture_output=True, text=True, check=True
