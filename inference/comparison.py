@@ -63,7 +63,10 @@ COLUMNS = (
 class Runnable(Protocol):
     """A fitted problem that any method runs on; a dataclass with ``seed``."""
 
-    seed: int
+    @property
+    def seed(self) -> int:
+        """Of every random number."""
+        ...
 
     def run(self, method: str, progress: Progress | None = None, executor: Executor | None = None) -> az.InferenceData:
         """Posterior by ``method``."""

@@ -16,6 +16,7 @@ differences of a twentieth of their uncertainty. Parameters of all effects in th
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,7 +79,7 @@ def refine(
     model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
     problem.budget.ask(key_of(effects) or "no effect")
-    inputs = [values, path, size, noise_log, noise_sd, enough, doubtful, rounds]
+    inputs: list[Any] = [values, path, size, noise_log, noise_sd, enough, doubtful, rounds]
     found = kept_hypothesis(problem, "refine", effects, inputs, partial(_refined, problem, model, effects, *inputs))
     assert found is not None  # a first step that fails raises
     return found

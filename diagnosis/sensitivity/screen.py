@@ -318,7 +318,8 @@ def _from_numbers(effects: Sequence[Effect], path: Tensor, tensors: Tensors, sta
         if "effect" not in row:
             screened.append(Screened(None, best=None, columns=None, path=path, **row))
             continue
-        best = {name: tuple(value) if isinstance(value, list) else value for name, value in row.pop("best").items()}
+        best: dict[str, Any] = row.pop("best")
+        best = {name: tuple(value) if isinstance(value, list) else value for name, value in best.items()}
         effect, best["effect"] = by_key[row.pop("effect")], by_key[best["effect"]]
         columns = Columns(*(tensors[f"{number}.{name}"].numpy() for name in ("g", "d")))
         screened.append(Added(effect, best=Hypothesis(**best), columns=columns, path=path, **row))

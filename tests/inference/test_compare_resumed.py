@@ -96,6 +96,7 @@ def test_of_an_uncertain_body(tmp_path, killed_at_next_save):
     assert bits(found) == expected
 
 
+@pytest.mark.long
 def test_a_method_that_failed_is_tried_again(tmp_path, monkeypatch):
     from invdyn.inference import METHODS as KNOWN_METHODS
 
