@@ -313,7 +313,8 @@ def load_posterior(path: str | Path) -> az.InferenceData:
             dict(store.attrs)
         idata = az.from_netcdf(str(path), engine="h5netcdf")
         check_size(idata, path)
-        idata.load()
+        for group in idata.groups():  # in place; InferenceData's own method would load a copy
+            idata[group].load()
         if idata.attrs.get("method") is not None and "draws" not in idata.attrs:
             idata = _of_version_02(idata)
     except InputError:

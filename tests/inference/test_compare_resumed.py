@@ -85,6 +85,8 @@ def test_killed_after_everything_that_it_keeps(tmp_path, killed_at_next_save):
     again = comparison(tmp_path)
     assert again.table[MEASURED].equals(found.table[MEASURED])  # of when they ran
     assert bits(again) == expected
+    for idata in again.posteriors.values():  # and nothing of them is left in a file that is gone
+        assert all(variable.variable._in_memory for group in idata.groups() for variable in idata[group].values())
 
 
 @pytest.mark.long
