@@ -152,7 +152,7 @@ def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, comma
         assert process.returncode in (-signal.SIGKILL, 2)  # 2: where a copy was killed, which the first process says
         assert not Path("parts").exists()
         kills += 1
-    assert kills > 1
+    assert kills > 0
     assert run(*call, "--out", "whole").exit_code == 0
     for name in files:
         one, other = Path("parts", name), Path("whole", name)
