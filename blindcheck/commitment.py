@@ -21,7 +21,7 @@ import os
 import pathlib
 import re
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from invdyn.recordings import InputError, atomic_path, check_readable, write_text
@@ -116,15 +116,29 @@ def read_opened(path: str | pathlib.Path, commitment: str | None = None) -> dict
     return answers
 
 
-def run_apart(command: Sequence[str], folder: str | pathlib.Path, **identity: Any) -> subprocess.CompletedProcess[str]:
+def run_apart(
+    command: Sequence[str],
+    folder: str | pathlib.Path,
+    on_start: Callable[[subprocess.Popen], None] | None = None,
+    **identity: Any,
+) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis as a process of its own inside `folder`, a case's; nothing is inherited but the environment.
 
     Neither memory nor open files pass to it, and its standard input is empty. `identity` is who runs it: user, group,
-    extra_groups and env of `subprocess.run`. Returns the finished process, whatever its exit code. Raises OSError when
-    it cannot be started.
+    extra_groups and env of `subprocess.Popen`. `on_start` is called with the process, which others may then end.
+    Returns the finished process, whatever its exit code. Raises OSError when it cannot be started.
     """
-    told: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace"}
-    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, close_fds=True, **told, **identity)
+    pipes: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    pipes |= {"stdin": subprocess.DEVNULL, "text": True, "errors": "replace"}
+    with subprocess.Popen(command, cwd=folder, close_fds=True, **pipes, **identity) as process:
+        try:
+            if on_start is not None:
+                on_start(process)
+            stdout, stderr = process.communicate()
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(command, process.returncode, stdout, stderr)
 
 
 def digest(folder: str | pathlib.Path) -> str:

@@ -11,7 +11,7 @@ can read the command line of this process, and every file that its caller can
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,19 +60,28 @@ class Confined:
     def _can(self, how: str, path: Path) -> bool:
         return subprocess.run(["test", how, str(path.resolve())], check=False, **self._identity()).returncode == 0
 
-    def run(self, words: Sequence[str], case: Path, out: Path) -> subprocess.CompletedProcess[str]:
-        """Run a command on a case; `out` is the folder for its answer. Raises OSError when it cannot be started."""
+    def run(
+        self,
+        words: Sequence[str],
+        case: Path,
+        out: Path,
+        on_start: Callable[[subprocess.Popen], None] | None = None,
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command on a case; `out` is the folder for its answer, `on_start` as that of `run_apart`.
+
+        Raises OSError when it cannot be started.
+        """
         if self.user is not None:
             identity = self._identity()
             os.chown(out, identity["user"], identity["group"])
             try:
-                return run_apart(words, case, **identity)
+                return run_apart(words, case, on_start, **identity)
             finally:
                 os.chown(out, os.getuid(), os.getgid())
         if self.container:
-            return run_apart([*self._container(case, out), *words], case)
+            return run_apart([*self._container(case, out), *words], case, on_start)
         keep_memory_private()
-        return run_apart(words, case)
+        return run_apart(words, case, on_start)
 
     def described(self) -> str:
         """A sentence on what the method can read."""

@@ -74,9 +74,19 @@ class Theirs(AbstractContextManager):
 
     def __init__(self, command: str, confined: Confined | None = None):
         self._words, self._confined = shlex.split(command), confined or Confined()
+        self._process: subprocess.Popen | None = None
+        self._ended = False
 
     def __exit__(self, *_: object) -> None:
-        return None
+        """End the case that is being diagnosed: who waits for it in another thread then goes on."""
+        self._ended = True
+        if self._process is not None:
+            self._process.kill()
+
+    def _started(self, process: subprocess.Popen) -> None:
+        self._process = process
+        if self._ended:
+            process.kill()
 
     def __call__(self, case: Path, out: Path, without: Iterable[str] = ()) -> str | None:
         """Diagnose one case; returns what went wrong, if anything did."""
@@ -91,7 +101,7 @@ class Theirs(AbstractContextManager):
         words = self._words
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
-        finished = self._confined.run(words, case, out)
+        finished = self._confined.run(words, case, out, self._started)
         told = out / "diagnosis.json"
         if finished.returncode or not told.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +33,19 @@ from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
+from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.problem.thinned import left_out
-from invdyn.diagnosis.report import write_report
+from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
-from invdyn.recordings import InputError, Recording, joined, write_text
+from invdyn.recordings import InputError, Recording, joined, whole_set, write_text
 
 Progress = Callable[[int, int, str], None]
 """Called with (stages done, stages, what comes next)."""
@@ -62,6 +65,7 @@ def diagnose(
     tolerance: float = RULE.tolerance,
     checked: bool = False,
     progress: Progress | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
 
@@ -84,11 +88,15 @@ def diagnose(
         checked: somebody has asked :func:`.check_before` of each recording. Else it is asked here: it refuses what is
             surely a mistake in the recording, and warns of what may be one.
         progress: called with (done, total, what).
+        checkpoint: folder of this diagnosis, made when missing: what is screened, refined and confirmed is kept there
+            (:mod:`.kept_units`), so that the same call goes on where it was killed, with any number of workers. With a
+            ``budget`` in seconds, what is kept takes none of them.
 
     Raises:
         InputError: the recording does not fit the body, or has a mistake that is sure; the held-out one does not fit
             the recording, or has too few rows; the simulation diverges from the recording whatever torque is added;
-            ``most`` or ``budget`` is not positive, ``tolerance`` is no share, or ``without`` names no effect.
+            ``most`` or ``budget`` is not positive, ``tolerance`` is no share, or ``without`` names no effect; the
+            checkpoint is another diagnosis', or broken.
 
     Too few rows of the recording itself are an answer and no error (:attr:`.Diagnosis.not_enough_data`). So are rows in
     which a large torque could be missing and not show (:mod:`.power`).
@@ -118,6 +126,19 @@ def diagnose(
     if budget is not None and not budget > 0:
         raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
     report(0, "bind")
+    keeper = None
+    if checkpoint is not None:
+        run = {
+            "version": version("invdyn"),
+            "recording": content_digest(_each(recording)),
+            "held_out": content_digest(_each(held_out or ())),
+            "body": repr(body),
+            **{"passive": passive, "without": list(without), "most": most, "seed": seed},
+            **{"budget": budget, "tolerance": tolerance},
+        }
+        keeper = Checkpoint(checkpoint, run, "diagnosis")
+        if keeper.load() is None:  # raises for another diagnosis'
+            keeper.save({})
     if not checked:
         for each in (*_each(recording), *_each(held_out or ())):
             check_before(each, body, passive)
@@ -128,8 +149,9 @@ def diagnose(
         return nothing_to_say(whole, body, seed, passive, str(error))
     work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
-    bound = replace(bound, budget=allowed)
-    other = None if held_out is None else replace(diagnosis_problem(held_out, body, passive=passive), budget=allowed)
+    bound = replace(bound, budget=allowed, checkpoint=keeper)
+    other = None if held_out is None else diagnosis_problem(held_out, body, passive=passive)
+    other = None if other is None else replace(other, budget=allowed, checkpoint=keeper)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "
@@ -219,21 +241,22 @@ def _followed(
 
 
 def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
-    """Write diagnosis.json, report.html and posterior.nc into ``folder``, which exists; each whole or not at all.
+    """Write diagnosis.json, report.html and posterior.nc into ``folder``, which exists; all of them or none.
 
     Without a posterior, one that lies there from an earlier diagnosis is removed. By as many processes as there are
     ``workers``. Raises OSError where they cannot be written.
     """
-    folder = Path(folder)
+    folder, posterior = Path(folder), diagnosis.posterior
 
-    def told() -> None:
-        write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=1, ensure_ascii=False) + "\n")
-        write_report(diagnosis, folder / "report.html")
+    def texts() -> tuple[str, str]:
+        return json.dumps(diagnosis.to_json(), indent=1, ensure_ascii=False) + "\n", render(diagnosis)
 
-    posterior = diagnosis.posterior
+    with whole_set():  # so this process writes all of it
+        parts: list[Callable[[], Any]] = [texts]
+        if posterior is not None:
+            parts.insert(0, partial(save_posterior, posterior, folder / "posterior.nc"))
+        as_json, page = side_by_side(parts, workers)[-1]
+        write_text(folder / "diagnosis.json", as_json)
+        write_text(folder / "report.html", page)
     if posterior is None:
         (folder / "posterior.nc").unlink(missing_ok=True)
-    parts: list[Callable[[], None]] = [told]
-    if posterior is not None:
-        parts.insert(0, partial(save_posterior, posterior, folder / "posterior.nc"))
-    side_by_side(parts, workers)

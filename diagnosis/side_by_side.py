@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import torch
 
 from invdyn.diagnosis.budget import Budget
+from invdyn.inference.execution.distribute import LostWork
 from invdyn.inference.execution.executors import deaf_to_interrupt
 
 T = TypeVar("T")
@@ -32,7 +33,7 @@ def side_by_side(parts: Sequence[Callable[[], T]], workers: int, budget: Budget 
 
     Each part finds the ``budget`` as it is before the first, wherever it runs; their work counts once all are done.
 
-    Raises what the first of them that fails raises; RuntimeError where a process ends without a word.
+    Raises what the first of them that fails raises; LostWork where a process ends without a word.
     """
     if budget is not None:
         return budget.together(side_by_side([partial(budget.apart, part) for part in parts], workers))
@@ -100,4 +101,4 @@ def _received(child: multiprocessing.process.BaseProcess, inbox: Connection) -> 
         return pickle.loads(inbox.recv_bytes())
     except EOFError:
         child.join()
-        raise RuntimeError(f"a process of the diagnosis ended with code {child.exitcode}: too little memory?") from None
+        raise LostWork(f"a process of the diagnosis ended with code {child.exitcode}: too little memory?") from None

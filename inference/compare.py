@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import arviz as az
 import numpy as np
 import torch
 
-from invdyn.inference.comparison import Comparison, in_own_process, measured, named, run_methods
+from invdyn.inference.comparison import Comparison, in_own_process, kept, measured, named, run_methods
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
@@ -52,6 +53,7 @@ def compare(
     device: str = "cpu",
     filters_per_task: int | None = None,
     executor: Executor | None = None,
+    checkpoint: str | Path | None = None,
     **binding: Any,
 ) -> Comparison:
     """Run several methods on one recording.
@@ -68,11 +70,13 @@ def compare(
         isolate: run each method in a process of its own.
         progress: called with (done, total, what).
         device, filters_per_task, executor: as :func:`.infer.infer` takes them.
+        checkpoint: folder of this comparison, made when missing: fits, what methods keep of their work, and each
+            method's result with its seconds and memory are kept there, so that the same call goes on from there.
         binding: further options of :func:`.initialise.arm_problem`: torque, integrator, family, learn_lengths …
 
     Raises:
         InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``,
-            more filters than memory holds, or a recording that does not fit the body.
+            more filters than memory holds, a recording that does not fit the body, or a checkpoint of another run.
     """
     methods = tuple(dict.fromkeys(methods))
     if unknown := [method for method in methods if method not in METHODS]:
@@ -86,9 +90,10 @@ def compare(
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
     check_memory(recording.num_frames, body.num_joints, options, methods)
     bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
-    whole = bind(recording, truth=truth, report=stage(progress, "fit"))
+    folder = None if checkpoint is None else Path(checkpoint)
+    whole = bind(recording, truth=truth, report=stage(progress, "fit"), checkpoint=folder and folder / "whole")
     bind = partial(bind, torque=whole.problem.model.torque)
-    head, future, missing = _split(whole, recording, bind, held_out, stage(progress, "fit without the tail"))
+    head, future, missing = _split(whole, recording, bind, held_out, stage(progress, "fit without the tail"), folder)
     found = run_methods(
         whole,
         methods,
@@ -100,7 +105,7 @@ def compare(
         executor=executor,
     )
     if head is not None and future is not None:
-        launch = in_own_process if isolate else partial(measured, executor=executor)
+        launch = partial(kept, in_own_process if isolate else partial(measured, executor=executor))
         for method in found.posteriors:
             try:
                 scored, *_ = launch(head, method, progress=named(progress, f"{method} without the tail"))
@@ -114,7 +119,12 @@ def compare(
 
 
 def _split(
-    whole: Task, recording: Recording, bind: Callable[..., Task], share: float, report: Report | None
+    whole: Task,
+    recording: Recording,
+    bind: Callable[..., Task],
+    share: float,
+    report: Report | None,
+    folder: Path | None,
 ) -> tuple[Task | None, Problem | None, str]:
     """Task of the first rows, the whole problem with their parameters, and why there is none."""
     rows = recording.num_frames
@@ -128,7 +138,8 @@ def _split(
     if not bool((~torch.isnan(whole.problem.observations[first:])).any()):
         return None, None, "nothing is observed in the tail"
     try:
-        head = bind(recording.select(0, first), report=report)
+        place = folder and folder / f"first-{first}-rows"
+        head = bind(recording.select(0, first), report=report, checkpoint=place)
         future = replace(whole.problem, model=whole.problem.model.replace(**head.problem.model.parameters))
     except (InputError, UnknownParameter) as error:
         return None, None, first_line(error)

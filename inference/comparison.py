@@ -28,6 +28,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,9 +39,11 @@ import numpy as np
 import pandas as pd
 import torch
 
+from invdyn.inference.execution.distribute import inside
+from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
-from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.inference.posterior.posterior import evidence_note, packed, unpacked
 from invdyn.recordings.errors import first_line
 
 MAX_MONITORED = 200
@@ -122,6 +125,27 @@ def measured(
     return idata, time.perf_counter() - start, max(resident_peak() - before, 0.0)
 
 
+Launch = Callable[..., tuple[az.InferenceData, float, float]]
+""":func:`measured`, here or in another process."""
+
+
+def kept(
+    launch: Launch, task: Runnable, method: str, progress: Progress | None = None, **options: Any
+) -> tuple[az.InferenceData, float, float]:
+    """What ``launch`` returns, kept in the task's checkpoint where it has one.
+
+    A method that fails is tried again by the next call: it may have been for want of memory.
+    """
+    store = inside(getattr(task, "checkpoint", None), f"{method}-result")
+    if store is not None and (found := store.load()) is not None:
+        tensors, state = found
+        return unpacked(tensors), state["seconds"], state["memory"]
+    idata, seconds, memory = launch(task, method, progress=progress, **options)
+    if store is not None:
+        store.save(packed(idata), seconds=seconds, memory=memory)
+    return idata, seconds, memory
+
+
 Row = dict[str, Any]
 
 
@@ -172,7 +196,7 @@ def run_methods(
         isolate, progress, executor: as :func:`.compare.compare` takes them.
     """
     found = Rows({}, {}, {}, {})
-    launch: Callable[..., tuple[az.InferenceData, float, float]] = in_own_process if isolate else measured
+    launch: Launch = partial(kept, in_own_process if isolate else measured)
     places = {} if isolate else {"executor": executor}
     for method in methods:
         found.rows[method] = {}
@@ -190,7 +214,7 @@ def run_methods(
         values = [row["log_evidence"]]
         try:
             for number in range(1, replicates):
-                other = _reseeded(task, derived(task.seed, REPLICATES, number))
+                other = _reseeded(task, number)
                 again, *_ = launch(other, method, progress=named(progress, f"{method} again"), **places)
                 values.append(again.attrs["log_evidence"])
         except Exception as error:
@@ -200,8 +224,11 @@ def run_methods(
     return found
 
 
-def _reseeded(task: Any, seed: int) -> Any:
-    return replace(task, seed=seed)
+def _reseeded(task: Any, number: int) -> Any:
+    """Replicate ``number`` of a task, with a seed and, where there is one, a checkpoint of its own."""
+    other = replace(task, seed=derived(task.seed, REPLICATES, number))
+    checkpoint = inside(getattr(task, "checkpoint", None), f"replicate-{number}")
+    return other if checkpoint is None else replace(other, checkpoint=checkpoint)
 
 
 def mixing_figures(idata: az.InferenceData, draws: np.ndarray) -> dict[str, float]:
@@ -275,7 +302,9 @@ def in_own_process(
 ) -> tuple[az.InferenceData, float, float]:
     """``measured`` in a fresh process; raises what it raises, or BrokenProcessPool when it dies."""
     with ProcessPoolExecutor(1, get_context("spawn"), torch.set_num_threads, (torch.get_num_threads(),)) as pool:
-        result = pool.submit(_measured, cloudpickle.dumps((task, method))).result()
+        with script_not_run_again():
+            future = pool.submit(_measured, cloudpickle.dumps((task, method)))
+        result = future.result()
     if progress is not None:
         progress(1, 1, "run")
     return result

@@ -9,13 +9,10 @@ the mean of the Ẑ_m is the evidence with θ integrated out (unbiased).
 """
 
 import dataclasses
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import Executor
-from pathlib import Path
 
 import arviz as az
-import numpy as np
 import torch
 from pyro import poutine
 
@@ -25,7 +22,7 @@ from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.inference.posterior.posterior import combine, load_posterior, save_posterior
+from invdyn.inference.posterior.posterior import combine, packed, unpacked
 
 Method = Callable[..., az.InferenceData]
 
@@ -71,7 +68,7 @@ def over_bodies(
         checkpoint=checkpoint,
         progress=stage(progress, "bodies"),
     )
-    return combine([_unpacked(part) for part in parts], seed=seed)
+    return combine([unpacked(part) for part in parts], seed=seed)
 
 
 def run_body(
@@ -87,19 +84,4 @@ def run_body(
     idata = method(problem, options=options, start=start, seed=seed, settings=settings)
     if progress is not None:
         progress(1, 1)
-    return _packed(idata)
-
-
-def _packed(idata: az.InferenceData) -> Tensors:
-    """A posterior as the bytes of its file, the one form of it that workers and checkpoints share."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "posterior.nc"
-        save_posterior(idata, file)
-        return {"file": torch.from_numpy(np.fromfile(file, np.uint8))}
-
-
-def _unpacked(part: Tensors) -> az.InferenceData:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "posterior.nc"
-        part["file"].numpy().tofile(file)
-        return load_posterior(file)
+    return packed(idata)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .console import ProgressBar
+from .console import ProgressBar, say
 from .options import MOST_WORKERS
 
 
@@ -68,7 +68,7 @@ def blind(
     run = BlindRun(out, counts, number, workers, method_command, keeps, played)
     run.check()
     if method_command is not None:
-        typer.echo(keeps.described())
+        say(keeps.described())
         if not hidden:
             typer.echo(
                 "warning: the seed stands on the command line, or is the default, and tells a method all answers; "
@@ -77,9 +77,9 @@ def blind(
             )
     with ProgressBar() as progress:
         commitment = run.make(progress)
-    typer.echo(f"sealed answers, SHA-256 {commitment}")
+    say(f"sealed answers, SHA-256 {commitment}")
     with ProgressBar() as progress:
         run.diagnose(progress)
         scores = run.score(progress, oracle=oracle)
-    typer.echo(scores.text())
-    typer.echo(run.listing())
+    say(scores.text())
+    say(run.listing())

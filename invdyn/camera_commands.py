@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import ProgressBar, check_ending, check_outputs
+from .console import ProgressBar, check_ending, check_outputs, say
 
 
 def register(app: typer.Typer) -> None:
@@ -44,15 +44,15 @@ def calibrate(
     with ProgressBar() as progress:
         calibration, lenses = run(sources, shown, every, progress)
     write_calibration(calibration, out)
-    typer.echo(f"{'camera':<14} {'pictures':>8} {'error px':>8} {'focal px':>18} {'position m':>26}")
+    say(f"{'camera':<14} {'pictures':>8} {'error px':>8} {'focal px':>18} {'position m':>26}")
     for camera in calibration:
         lens = lenses[camera.name]
         focal = f"{lens.matrix[0, 0]:.1f} ± {lens.focal_sd[0]:.1f}"
         place = ", ".join(f"{each:.3f}" for each in camera.position)
-        typer.echo(f"{camera.name:<14} {lens.pictures:>8} {lens.error:>8.3f} {focal:>18} {place:>26}")
+        say(f"{camera.name:<14} {lens.pictures:>8} {lens.error:>8.3f} {focal:>18} {place:>26}")
     first = calibration.names[0]
-    typer.echo(f"{len(calibration)} together: {calibration.error:.3f} px; frame and origin are those of {first}")
-    typer.echo(f"calibration  {out}")
+    say(f"{len(calibration)} together: {calibration.error:.3f} px; frame and origin are those of {first}")
+    say(f"calibration  {out}")
 
 
 def triangulate(
@@ -98,7 +98,7 @@ def triangulate(
     individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
 ) -> None:
     """Turn the tracks of several cameras into one recording in space."""
-    from invdyn.recordings import InputError, write_keypoint_csv, write_table, write_text
+    from invdyn.recordings import InputError, whole_set, write_keypoint_csv, write_table, write_text
     from invdyn.recordings.cameras import (
         Length,
         at_one_time,
@@ -142,37 +142,35 @@ def triangulate(
         )
         progress(1, 1, "triangulate")
     recording = scene.recording
-    write_keypoint_csv(recording, out)
-    written = {"recording": out}
-    if errors is not None:
-        write_text(errors, csv_text(scene.rows))
-        written["errors"] = errors
-    if sd is not None:
-        columns = {
-            f"{point}_{axis}_sd": scene.sd[:, p, s]
-            for p, point in enumerate(recording.keypoint_names)
-            for s, axis in enumerate("xyz")
-        }
-        write_table({"time": recording.time, **columns}, sd)
-        written["spread"] = sd
-    if calibration_out is not None:
-        write_calibration(scene.calibration, calibration_out)
-        written["cameras"] = calibration_out
-    typer.echo(table(scene.rows))
+    with whole_set():
+        write_keypoint_csv(recording, out)
+        if errors is not None:
+            write_text(errors, csv_text(scene.rows))
+        if sd is not None:
+            columns = {
+                f"{point}_{axis}_sd": scene.sd[:, p, s]
+                for p, point in enumerate(recording.keypoint_names)
+                for s, axis in enumerate("xyz")
+            }
+            write_table({"time": recording.time, **columns}, sd)
+        if calibration_out is not None:
+            write_calibration(scene.calibration, calibration_out)
+    named = {"recording": out, "errors": errors, "spread": sd, "cameras": calibration_out}
+    say(table(scene.rows))
     known = _share_known(recording.keypoints)
-    typer.echo(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
+    say(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
     for name, seconds in offsets.items():
         spread = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
-        typer.echo(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
+        say(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
     for name, clock in clocks.items():
         if not clock.sure:
-            typer.echo(
+            say(
                 f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, not "
                 "surely a clock, as a tracker's lasting errors look alike; --offset states a known one"
             )
     if scene.factor != 1:
-        typer.echo(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
-    typer.echo("\n".join(f"{name:<10} {path}" for name, path in written.items()))
+        say(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
+    say("\n".join(f"{name:<10} {path}" for name, path in named.items() if path is not None))
 
 
 def _share_known(points: Any) -> float:

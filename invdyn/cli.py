@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from . import blind_commands, camera_commands, film_commands, model_commands, robot_commands
-from .console import Commands, ProgressBar, check_ending, check_outputs
+from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
-from .film_commands import ArmSide, NetworkFile, PersonSeen
+from .film_commands import ArmSide, Kept, NetworkFile, PersonSeen
 from .inference_options import Inference
 from .model_commands import Isolate, Replicates
 from .options import BodyFile, Seed, with_option_groups
@@ -76,7 +76,7 @@ def simulate(
     seed: Seed = 0,
 ) -> None:
     """Make a recording with known truth."""
-    from invdyn.recordings import write_keypoint_csv, write_truth
+    from invdyn.recordings import whole_set, write_keypoint_csv, write_truth
 
     from .inputs import load_body
     from .simulate import random_arm, record
@@ -95,11 +95,13 @@ def simulate(
         seed=seed,
     )
     recording, states = record(model, seed, out.stem)
-    write_keypoint_csv(recording, out)
-    typer.echo(f"recording  {out}")
+    with whole_set():
+        write_keypoint_csv(recording, out)
+        if truth is not None:
+            write_truth(states, truth)
+    say(f"recording  {out}")
     if truth is not None:
-        write_truth(states, truth)
-        typer.echo(f"truth      {truth}")
+        say(f"truth      {truth}")
 
 
 @app.command()
@@ -116,9 +118,7 @@ def infer(
     sto: StoOut = None,
     mot: MotOut = None,
     csv: CsvOut = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
-    ] = None,
+    checkpoint: Kept = None,
     network: NetworkFile = None,
     arm: ArmSide = None,
     person: PersonSeen = None,
@@ -154,8 +154,8 @@ def infer(
         else:
             idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
         outputs.write(idata, progress, None if filmed is None else filmed.overlay)
-    typer.echo(summary_text(idata))
-    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
+    say(summary_text(idata))
+    say(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 @app.command()
@@ -169,6 +169,7 @@ def compare(
     ] = 0.2,
     replicates: Replicates = 1,
     isolate: Isolate = False,
+    checkpoint: Kept = None,
 ) -> None:
     """Run several methods on one recording: one table, one figure.
 
@@ -195,10 +196,11 @@ def compare(
             isolate=isolate,
             progress=progress,
             executor=executor,
+            checkpoint=checkpoint,
         )
     outputs.write(comparison)
-    typer.echo(comparison_text(comparison))
-    typer.echo(outputs.listing(comparison))
+    say(comparison_text(comparison))
+    say(outputs.listing(comparison))
 
 
 @app.command()
@@ -209,6 +211,7 @@ def diagnose(
     write_back: Annotated[
         Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
     ] = None,
+    checkpoint: Kept = None,
     network: NetworkFile = None,
     arm: ArmSide = None,
     person: PersonSeen = None,
@@ -227,6 +230,7 @@ def diagnose(
     from invdyn.diagnosis.report.sentences import details, verdict
     from invdyn.diagnosis.write_back.write_back import check_write_back
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
+    from invdyn.recordings import new_folder, whole_set
 
     from .inputs_from_film import TrackedFilm
     from .outputs import DiagnosisOutputs
@@ -243,20 +247,20 @@ def diagnose(
         check_outputs([filmed.tracks, write_back], files)
         check_ending("a file of tracks", filmed.tracks, ".csv")
         with ProgressBar() as progress:
-            given = filmed.track(None, progress)
+            given = filmed.track(checkpoint, progress)
     arguments = given.load()
     with ProgressBar() as progress:
-        diagnosis = run(**arguments, progress=progress)
-    if write_back is not None:
-        held_out, recordings = arguments["held_out"], arguments["recording"]
-        shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
-        diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
-    out.mkdir(parents=True, exist_ok=True)
-    save(diagnosis, out, workers=arguments["workers"])
-    typer.echo(verdict(diagnosis))
+        diagnosis = run(**arguments, progress=progress, checkpoint=checkpoint)
+    with new_folder(out), whole_set():
+        if write_back is not None:
+            held_out, recordings = arguments["held_out"], arguments["recording"]
+            shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
+            diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
+        save(diagnosis, out, workers=arguments["workers"])
+    say(verdict(diagnosis))
     for sentence in details(diagnosis):
-        typer.echo(sentence)
-    typer.echo(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
+        say(sentence)
+    say(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
 
 
 blind_commands.register(app)
@@ -282,8 +286,8 @@ def plot(
     idata = load_posterior(posterior)
     with ProgressBar() as progress:
         outputs.write(idata, progress)
-    typer.echo(summary_text(idata))
-    typer.echo(outputs.listing())
+    say(summary_text(idata))
+    say(outputs.listing())
 
 
 @app.command()
@@ -294,7 +298,7 @@ def demo(
     """Simulate an arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
     from invdyn.models import Body
-    from invdyn.recordings import write_keypoint_csv, write_truth
+    from invdyn.recordings import new_folder, whole_set, write_keypoint_csv, write_truth
 
     from .inputs import load_body
     from .outputs import Outputs, check_folder
@@ -302,26 +306,26 @@ def demo(
     from .summary import summary_text
 
     check_folder(out, [], [])
-    out.mkdir(parents=True, exist_ok=True)
+    arm = load_body("paper_planar_arm")
+    assert isinstance(arm, Body)  # as its file says
+    recording, truth = record(paper_arm(arm), seed, "planar arm")
     outputs = Outputs(
         out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", csv=out / "torques.csv"
     )
     arm_file, recording_file, truth_file = out / "arm.toml", out / "recording.csv", out / "truth.csv"
-    outputs.check()
-    check_outputs([arm_file, recording_file, truth_file])
-    arm = load_body("paper_planar_arm")
-    assert isinstance(arm, Body)  # as its file says
-    recording, truth = record(paper_arm(arm), seed, "planar arm")
-    arm.to_toml(arm_file)
-    write_keypoint_csv(recording, recording_file)
-    write_truth(truth, truth_file)
-    with ProgressBar() as progress:
+    with new_folder(out), ProgressBar() as progress:
+        outputs.check()
+        check_outputs([arm_file, recording_file, truth_file])
         idata = run(recording, arm, truth=truth, seed=seed, progress=progress, **PAPER)
-        outputs.write(idata, progress)
-    typer.echo(summary_text(idata))
-    typer.echo(outputs.listing())
-    typer.echo(f"{'input':<10} {recording_file}, {truth_file}, {arm_file}")
-    typer.echo(
+        with whole_set():
+            arm.to_toml(arm_file)
+            write_keypoint_csv(recording, recording_file)
+            write_truth(truth, truth_file)
+            outputs.write(idata, progress)
+    say(summary_text(idata))
+    say(outputs.listing())
+    say(f"{'input':<10} {recording_file}, {truth_file}, {arm_file}")
+    say(
         f"\nA recording of your own, the same way:\n  invdyn infer {recording_file} --body {arm_file} "
         "--out posterior.nc --figure figure.png"
     )

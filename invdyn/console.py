@@ -1,23 +1,28 @@
 """How the command line speaks: one clear line for an error, a bar for progress, nothing half-written.
 
-Exit codes: 0 done, 2 bad input (the user can mend it), 130 interrupted. Anything else is a bug of ours and
-shows its traceback.
+Exit codes: 0 done, 2 bad input (the user can mend it), 74 done but not printed, 128 + n ended by signal n (130 by
+Ctrl-C, 143 by a termination). Anything else is a bug of ours and shows its traceback.
 """
 
 import errno
+import os
 import re
+import signal
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any
 
 import typer
 from tqdm import tqdm
 from typer.core import TyperGroup
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT, READER_LEFT, NOT_PRINTED, INTERRUPTED = 2, 1, 74, 130
 WORDS = "invdyn.words"  # where a context keeps the command line
 MODEL = re.compile(r".+\.py:\w+")
 LONGEST = 1500  # characters of a message
@@ -25,8 +30,29 @@ LONGEST = 1500  # characters of a message
 UsageError: Any = typer.BadParameter.__base__
 
 
+@dataclass
+class _Run:
+    """What one command is to leave, and why its words could not be printed, if so."""
+
+    outputs: list[Path] = field(default_factory=list)
+    unprinted: OSError | None = None
+
+
+_run = _Run()
+"""Of the command that this process runs; one at a time."""
+
+
 class Commands(TyperGroup):
     """The commands' group, the one place where errors become a line on stderr and an exit code."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Parse and run; where the help cannot be printed, say so."""
+        try:
+            return super().main(*args, **extra)
+        except OSError as error:  # those of a command have become a line by now
+            _print_no_more()
+            _say("error", f"could not print: {error.strerror}")
+            sys.exit(NOT_PRINTED)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse, and keep the words as they were given: an error about a file names the option that it came by.
@@ -40,20 +66,31 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
-        with warnings.catch_warnings():
+        global _run
+        _run = _Run()
+        with warnings.catch_warnings(), _terminable():
             # ArviZ announces its version 1.0 once a day, to whoever imports it
             warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing", FutureWarning)
             warnings.showwarning = _show_warning  # type: ignore[assignment]  # it leaves out what it does not need
             try:
-                return super().invoke(ctx)
+                try:
+                    result = super().invoke(ctx)
+                except typer.Exit:
+                    _check_printed()
+                    raise
+                _check_printed()
+                return result
             except KeyboardInterrupt:
                 _say("interrupted", "what was not finished was not written")
                 raise typer.Exit(INTERRUPTED) from None
+            except Terminated as ended:
+                _say("terminated", "what was not finished was not written")
+                raise typer.Exit(int(str(ended.code))) from None
             except UsageError as error:
                 command = error.ctx.command_path if error.ctx else "invdyn"
                 _say("error", f"{error.format_message()} (see {command} --help)")
             except OSError as error:
-                if error.errno == errno.EPIPE:  # whoever read our output has left
+                if error.errno == errno.EPIPE:
                     raise
                 _say("error", f"{self._given(ctx, error.filename)}: {error.strerror}" if error.filename else error)
             except (ValueError, ArithmeticError) as error:
@@ -75,6 +112,32 @@ class Commands(TyperGroup):
         return str(file)
 
 
+class Terminated(SystemExit):
+    """The system ends this process, by a termination or with its terminal; ``code`` is 128 + the signal's number."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let a termination unwind the block as Ctrl-C does, so that workers end and nothing half-written is left.
+
+    In copies of this process, too. A signal that is ignored (`nohup`), or heard by the caller, stays so.
+    """
+
+    def end(number: int, _: object) -> None:
+        raise Terminated(128 + number)
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    here = current_thread() is main_thread()
+    ours = [number for number in numbers if here and signal.getsignal(number) == signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def _input_errors() -> tuple[type[Exception], ...]:
     from pyro.infer.smcfilter import SMCFailed
 
@@ -92,7 +155,40 @@ def _say(kind: str, message: object) -> None:
     line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
     if len(line) > LONGEST:
         line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
-    typer.echo(f"{kind}: {line}", err=True)
+    with suppress(OSError):  # there is nobody to tell that, either
+        typer.echo(f"{kind}: {line}", err=True)
+
+
+def say(text: str) -> None:
+    """Print a command's words; where that fails the command goes on, and its end says so.
+
+    A full disk under stdout, or a reader that has left, takes nothing from what is written elsewhere.
+    """
+    try:
+        typer.echo(text)
+    except OSError as error:
+        _run.unprinted = _run.unprinted or error
+        _print_no_more()
+
+
+def _check_printed() -> None:
+    """Raise typer.Exit, and say what was done, where a command's words could not be printed."""
+    if (error := _run.unprinted) is None:
+        return
+    if error.errno == errno.EPIPE:  # the reader of our output has left, and misses nothing
+        raise typer.Exit(READER_LEFT)
+    written = [str(path) for path in _run.outputs if path.exists()]
+    done = f"wrote {', '.join(written)}" if written else "done"
+    _say("error", f"{done}; could not print: {error.strerror}")
+    raise typer.Exit(NOT_PRINTED)
+
+
+def _print_no_more() -> None:
+    """Let stdout lead nowhere, so that what is still in its buffer fails at no later time."""
+    with suppress(OSError, ValueError):  # it may be no file
+        descriptor = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(descriptor, sys.stdout.fileno())
+        os.close(descriptor)
 
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
@@ -151,3 +247,4 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
         if target in taken:
             raise InputError(f"{path}: two outputs have this name; give each its own")
         taken.add(target)
+        _run.outputs.append(path)

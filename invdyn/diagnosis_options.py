@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .console import say
 from .options import MOST_WORKERS, Seed
 from .recording_options import Recorded
 
@@ -208,7 +209,7 @@ class Diagnosed(Recorded):
         if self.clock is not None:
             return beside(log, film, self.clock)
         found = camera_clock(log, film, body)
-        typer.echo(f"clock      {film.name} is ahead of {log.name} by {found.seconds:.4f} ± {found.sd:.4f} s")
+        say(f"clock      {film.name} is ahead of {log.name} by {found.seconds:.4f} ± {found.sd:.4f} s")
         return beside(log, film, found.seconds)
 
 

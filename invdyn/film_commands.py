@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .console import ProgressBar, check_ending, check_outputs
+from .console import ProgressBar, check_ending, check_outputs, say
 from .options import Seed
 
 FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
@@ -80,14 +80,14 @@ def label(
             numbers = different(source, count, labelled, progress)
         else:
             numbers = _surprising(source, posterior, count, labelled)
-    server = LabelServer(numbers, read_pictures(source, numbers), names, out, before, suggest)
+    server = LabelServer(numbers, read_pictures(source, numbers), names, out, suggest)
     with server:
         typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
         if browser:
             webbrowser.open(server.address)
         with suppress(KeyboardInterrupt):  # each label is written when it is set
             server.serve_forever()
-    typer.echo(f"{len(server.labels)} labelled pictures" + (f"\nlabels     {out}" if out.exists() else ""))
+    say(f"{len(server.labels)} labelled pictures" + (f"\nlabels     {out}" if out.exists() else ""))
 
 
 def _suggestions(path: Path, names: tuple[str, ...], film: Any) -> Callable[[Any], Any]:
@@ -171,9 +171,9 @@ def train(
     with ProgressBar() as progress:
         trained = run(given, steps=steps, seed=seed, progress=progress, keeper=keeper)
     trained.tracker.save(out)
-    typer.echo(f"{len(given.pictures)} labelled pictures of {', '.join(given.names)}")
-    typer.echo(_quality(trained))
-    typer.echo(f"network    {out}")
+    say(f"{len(given.pictures)} labelled pictures of {', '.join(given.names)}")
+    say(_quality(trained))
+    say(f"network    {out}")
 
 
 def _quality(trained: Any) -> str:
@@ -209,8 +209,8 @@ def track(
     for p, name in enumerate(names):
         seen = tracks[known[:, p], p, 2]
         told = f"; confidence {np.median(seen):.2f}, under .5 in {np.mean(seen < 0.5):.1%}" if len(seen) else ""
-        typer.echo(f"{name:<14} found in {known[:, p].mean():.1%} of {len(tracks)} pictures{told}")
-    typer.echo(f"tracks     {out}")
+        say(f"{name:<14} found in {known[:, p].mean():.1%} of {len(tracks)} pictures{told}")
+    say(f"tracks     {out}")
 
 
 def tracks_of(

@@ -50,7 +50,7 @@ def compare_model(
     from invdyn.inference import compare_methods
     from invdyn.inference.execution.executors import open_executor
 
-    from .console import ProgressBar
+    from .console import ProgressBar, say
     from .outputs import ComparisonOutputs
     from .summary import comparison_text
 
@@ -77,8 +77,8 @@ def compare_model(
             name=rows.name,
         )
     outputs.write(comparison, states)
-    typer.echo(comparison_text(comparison))
-    typer.echo(outputs.listing(comparison))
+    say(comparison_text(comparison))
+    say(outputs.listing(comparison))
 
 
 def read_columns(path: Path) -> "np.ndarray":

@@ -9,7 +9,7 @@ import arviz as az
 import numpy as np
 
 from invdyn.inference import Comparison, save_posterior
-from invdyn.recordings import InputError, write_moments, write_motion, write_table, write_text
+from invdyn.recordings import InputError, new_folder, whole_set, write_moments, write_motion, write_table, write_text
 
 from .console import check_ending, check_outputs
 from .film import check_film, save_film
@@ -53,7 +53,7 @@ class Outputs:
         progress: Callable[[int, int, str], None] | None = None,
         overlay: Callable[[az.InferenceData], Overlay] | None = None,
     ) -> None:
-        """Write what is wanted, each file whole or not at all; the posterior first, as it took longest.
+        """Write what is wanted, as a set (`whole_set`); the posterior first, as it took longest.
 
         `overlay` makes what the film is laid over.
         """
@@ -61,6 +61,15 @@ class Outputs:
             raise InputError("expected the posterior of an arm, got one of a state-space model: read it by ArviZ")
         if self.sto is not None and "torque" not in idata["posterior"]:
             raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
+        with whole_set():
+            self._write(idata, progress, overlay)
+
+    def _write(
+        self,
+        idata: az.InferenceData,
+        progress: Callable[[int, int, str], None] | None,
+        overlay: Callable[[az.InferenceData], Overlay] | None,
+    ) -> None:
         time, joints = idata["posterior"]["time"].values, [str(name) for name in idata["posterior"]["joint"].values]
         if self.posterior is not None:
             save_posterior(idata, self.posterior)
@@ -109,19 +118,19 @@ class ComparisonOutputs:
         check_folder(self.folder, self.paths.values(), inputs)
 
     def write(self, comparison: Comparison, truth: np.ndarray | None = None) -> None:
-        """Write all of it, each file whole or not at all, where any method succeeded; posteriors first.
+        """Write all of it, as a set (`whole_set`), where any method succeeded; posteriors first.
 
         `truth` (rows, states) is known of a model of one's own. Raises InputError where no method succeeded.
         """
         if not comparison.posteriors:
             reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
             raise InputError(f"no method succeeded: {reasons}")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        for method, idata in comparison.posteriors.items():
-            save_posterior(idata, self.paths[method])
-        write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
-        write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
-        save_figure(plot_comparison(comparison.posteriors, truth), self.paths["figure"])
+        with new_folder(self.folder), whole_set():
+            for method, idata in comparison.posteriors.items():
+                save_posterior(idata, self.paths[method])
+            write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
+            write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
+            save_figure(plot_comparison(comparison.posteriors, truth), self.paths["figure"])
 
     def listing(self, comparison: Comparison) -> str:
         """What lies where: an empty line, then one each."""

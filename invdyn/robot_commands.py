@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .console import BAD_INPUT, check_ending, check_outputs
+from .console import BAD_INPUT, check_ending, check_outputs, say
 
 
 def register(app: typer.Typer) -> None:
@@ -43,9 +43,10 @@ def check(
     body = load_body(robot, filmed=not is_log(log, mapping))
     reading = read_as_it_stands(log, body, units, frames, mapping, episode, fps)
     found = run(reading, body, passive=passive, effects=effects)
-    typer.echo(check_text(found))
     if out is not None:
         write_text(out, json.dumps(found.to_json(), indent=1, ensure_ascii=False) + "\n")
-        typer.echo(f"JSON       {out}")
+    say(check_text(found))
+    if out is not None:
+        say(f"JSON       {out}")
     if found.mistakes:
         raise typer.Exit(BAD_INPUT)

@@ -50,7 +50,7 @@ def half_a_result(told):
     return bytes(LARGE)
 
 
-def without_end(told):
+def without_end(told, progress=None):
     """Work that never ends; the file ``told`` is there once it has begun."""
     Path(told).touch()
     while True:

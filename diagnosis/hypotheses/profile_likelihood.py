@@ -11,6 +11,7 @@ turns, until none gains (coordinate ascent).
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import cycle, islice
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
+from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of, kept_hypothesis
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis
@@ -43,6 +45,14 @@ def refine_searched(
 
     None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
     """
+    inputs = [content_of(base), effect, enough]
+    find = partial(_searched, problem, base, effect, enough)
+    return kept_hypothesis(problem, "search", (*base.effects, effect), inputs, find)
+
+
+def _searched(
+    problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float
+) -> FittedHypothesis | None:
     if not is_noise(effect):
         return refine_play(problem, base, effect, enough)
     best = _added(problem, base, effect, max(base.log_evidence + EARNED, enough))

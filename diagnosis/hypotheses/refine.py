@@ -16,6 +16,7 @@ differences of a twentieth of their uncertainty. Parameters of all effects in th
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import firmed, led, lifted
+from invdyn.diagnosis.hypotheses.kept_hypotheses import kept_hypothesis
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -33,6 +35,7 @@ from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
+from invdyn.models import ArmModel
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
 
@@ -76,6 +79,26 @@ def refine(
     model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
     problem.budget.ask(key_of(effects) or "no effect")
+    inputs: list[Any] = [values, path, size, noise_log, noise_sd, enough, doubtful, rounds]
+    found = kept_hypothesis(problem, "refine", effects, inputs, partial(_refined, problem, model, effects, *inputs))
+    assert found is not None  # a first step that fails raises
+    return found
+
+
+def _refined(
+    problem: DiagnosisProblem,
+    model: ArmModel,
+    effects: tuple[Effect, ...],
+    values: Mapping[str, float],
+    path: Tensor,
+    size: float,
+    noise_log: Mapping[str, float] | None,
+    noise_sd: Mapping[str, float] | None,
+    enough: float,
+    doubtful: float,
+    rounds: int,
+) -> FittedHypothesis:
+    """What :func:`refine` returns; ``model`` is the problem's with the ``effects``."""
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}

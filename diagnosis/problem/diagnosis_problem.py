@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.budget import Budget
+from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.conventions import check_conventions
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
@@ -21,6 +22,7 @@ from invdyn.diagnosis.problem.outliers import calm
 from invdyn.diagnosis.problem.regime import Regime, regime_of
 from invdyn.diagnosis.problem.thinned import looked_at
 from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
 from invdyn.inference.posterior.jitter import jitter
 from invdyn.models import ArmModel, ArticulatedBody
@@ -61,6 +63,7 @@ class DiagnosisProblem:
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
         budget: what is left of it; all problems of one diagnosis share it.
+        checkpoint: where the units of the diagnosis are kept (:mod:`..kept_units`), or None.
     """
 
     problem: Problem
@@ -69,6 +72,7 @@ class DiagnosisProblem:
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
     budget: Budget = field(default_factory=Budget, compare=False)
+    checkpoint: Checkpoint | None = field(default=None, compare=False)
 
     @property
     def model(self) -> ArmModel:
@@ -79,6 +83,14 @@ class DiagnosisProblem:
     def observations(self) -> Tensor:
         """(T, O), NaN where missing."""
         return self.problem.observations
+
+    @cached_property
+    def content(self) -> str:
+        """A short hexadecimal name of all that sets this problem apart from others of one diagnosis."""
+        model = self.model
+        laws = [model.substeps, model.integrator, model.observation.family, self.engine_step, self.regime.name]
+        data = [self.observations, model.time, model.command, dict(model.parameters)]
+        return content_digest([*laws, self.starts, self.shape, *data])
 
     @cached_property
     def usual(self) -> Tensor:

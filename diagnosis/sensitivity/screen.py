@@ -6,14 +6,16 @@ is then a small regression (:mod:`.evidence`). A cause found with the smallest s
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
+from invdyn.diagnosis.kept_units import Numbers, kept
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.regime import SLAB, SPIKE, log_prior
@@ -23,6 +25,7 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, products
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -227,6 +230,23 @@ def screen(
     for a while; by default those in which it would explain most.
     """
     problem.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
+    inputs = [problem.content, *(tuple(model.effects), dict(model.parameters), model.substeps), path, effects]
+    inputs += [common.names, common.mean, common.sd, common.lower, common.upper, point, quiet, times]
+    run = partial(_screened, problem, model, path, effects, common, point, quiet, times)
+    unpack = partial(_from_numbers, [effect.bound(model.body) for effect in effects], path)
+    return kept(problem.checkpoint, problem.budget, "screen", inputs, run, _as_numbers, unpack)
+
+
+def _screened(
+    problem: DiagnosisProblem,
+    model: ArmModel,
+    path: Tensor,
+    effects: Sequence[Effect],
+    common: Unknowns,
+    point: np.ndarray,
+    quiet: bool,
+    times: Sequence[tuple[float, float]],
+) -> list[Screened]:
     levels = problem.regime.sizes
     levels = levels[:3] if quiet and problem.regime.knows_torque else levels
     # What an effect adds is small: half of the sub-steps tell it as well.
@@ -264,7 +284,8 @@ def screen(
                     best.effect,
                     float(logsumexp(part)),
                     best,
-                    Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
+                    # laid out row by row, as it comes back where it was kept
+                    Columns(*(np.ascontiguousarray(each[..., own[mine[place]]]) for each in (columns.g, columns.d))),
                     _estimates(best, results[size], mine[place]),
                     None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
                     float(levels[size]),
@@ -274,6 +295,44 @@ def screen(
             )
     screened.append(Screened(None, float(logsumexp(none)), None, None, {}, None, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)
+
+
+def _as_numbers(screened: list[Screened]) -> Numbers:
+    """What :func:`screen` returns, as it is kept; all of it is along one path."""
+    tensors: Tensors = {}
+    rows: list[dict[str, Any]] = []
+    for number, each in enumerate(screened):
+        row = {name: getattr(each, name) for name in ("log_evidence", "values", "elsewhere", "size", "dprime")}
+        if isinstance(each, Added):
+            best = {field.name: getattr(each.best, field.name) for field in fields(each.best)}
+            row |= {"effect": each.effect.key, "best": best | {"effect": each.best.effect.key}}
+            tensors |= {f"{number}.{name}": torch.from_numpy(getattr(each.columns, name)) for name in ("g", "d")}
+        rows.append(row)
+    return tensors, {"screened": _as_json(rows)}
+
+
+def _from_numbers(effects: Sequence[Effect], path: Tensor, tensors: Tensors, state: dict[str, Any]) -> list[Screened]:
+    by_key = {effect.key: effect for effect in effects}
+    screened: list[Screened] = []
+    for number, row in enumerate(state["screened"]):
+        if "effect" not in row:
+            screened.append(Screened(None, best=None, columns=None, path=path, **row))
+            continue
+        best: dict[str, Any] = row.pop("best")
+        best = {name: tuple(value) if isinstance(value, list) else value for name, value in best.items()}
+        effect, best["effect"] = by_key[row.pop("effect")], by_key[best["effect"]]
+        columns = Columns(*(tensors[f"{number}.{name}"].numpy() for name in ("g", "d")))
+        screened.append(Added(effect, best=Hypothesis(**best), columns=columns, path=path, **row))
+    return screened
+
+
+def _as_json(value: Any) -> Any:
+    """With Python's own numbers."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, dict):
+        return {key: _as_json(each) for key, each in value.items()}
+    return [_as_json(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def screen_in_halves(

@@ -62,8 +62,11 @@ def write_back(
         new, left = urdf.rewritten(content, asked.changes)
     else:
         new, left = toml.rewritten(content, body, asked.changes)
+    tried = None
     with atomic_path(out) as temporary:
         temporary.write_bytes(new)
+        if mjcf:
+            tried = _tried(str(source), str(temporary), body, recording, held_out)
     changes = tuple(
         {
             "place": each.place,
@@ -77,9 +80,7 @@ def write_back(
         for each in asked.changes
         if each.words not in left
     )
-    written = Written(str(out), changes, {**asked.unsaid, **left})
-    if mjcf:
-        written = replace(written, rollout=_tried(str(source), str(out), body, recording, held_out))
+    written = Written(str(out), changes, {**asked.unsaid, **left}, rollout=tried)
     return replace(diagnosis, written=written)
 
 

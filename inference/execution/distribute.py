@@ -15,6 +15,7 @@ A part whose worker dies is done again, with the same seed: in a fresh pool wher
 (:class:`LostWork`): results without it would be of another computation.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import ExitStack
@@ -26,8 +27,9 @@ import cloudpickle as pickle  # which can send what a script or a notebook has d
 import torch
 from torch import Tensor
 
+from invdyn.inference.execution import executors
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.inference.execution.executors import process_pool
+from invdyn.inference.execution.executors import has_workers, process_pool
 
 Tensors = dict[str, Tensor]
 Part = Callable[..., Tensors]
@@ -143,9 +145,15 @@ def _collect_once(
                 pending[executor.submit(_in_worker, pickle.dumps((part, arguments[i])))] = i
             except BrokenExecutor:
                 lost.append(i)
+        seen = time.monotonic()
         while pending:
             # With a timeout, for Windows hears no Ctrl-C inside a wait without end.
             ready, _ = wait(pending, timeout=1.0, return_when=FIRST_COMPLETED)
+            if ready or has_workers(executor):
+                seen = time.monotonic()
+            elif time.monotonic() - seen > executors.DESERTED:  # a cluster itself would wait for workers without end
+                first = names[min(pending.values())]
+                raise LostWork(f"{first} could not be had: for {executors.DESERTED} s the cluster has had no workers")
             for future in sorted(ready, key=pending.__getitem__):
                 i = pending.pop(future)
                 try:

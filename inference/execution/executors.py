@@ -6,6 +6,7 @@ Whatever follows :class:`concurrent.futures.Executor` serves as well; these are 
 import asyncio
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -21,6 +22,9 @@ from invdyn.recordings.errors import first_line
 
 PATIENCE = 10
 """Seconds in which a scheduler must answer."""
+
+DESERTED = 60
+"""Seconds after which a cluster without any worker is given up: a worker that died is replaced sooner."""
 
 GRACE = 2
 """Seconds for what a worker is sending, before it is ended."""
@@ -59,7 +63,8 @@ def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
     try:
-        with deaf_to_interrupt():  # the children inherit that, from before their first line of Python
+        # The children inherit the first, from before their first line of Python.
+        with deaf_to_interrupt(), script_not_run_again():
             for _ in range(pool._max_workers):  # type: ignore[attr-defined]  # it says nowhere else how many it has
                 pool.submit(os.getpid)
         # Only the workers write results: of one that is killed while it writes, the rest is then not waited for.
@@ -99,6 +104,26 @@ def deaf_to_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def script_not_run_again() -> Iterator[None]:
+    """Let processes that are begun within the block leave the program's own script alone.
+
+    Python's spawn runs that script in each worker, so that pickles find what it defines. Without a guard
+    (``if __name__ == "__main__":``) a worker then does all of its work, down to the pool, and dies there. Here work is
+    sent by value (cloudpickle, :mod:`.distribute`), and the script is not needed.
+    """
+    script = sys.modules["__main__"]
+    names = [name for name in ("__spec__", "__file__") if name in vars(script)]
+    before = {name: vars(script)[name] for name in names}
+    try:
+        for name in names:
+            setattr(script, name, None)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(script, name, value)
 
 
 def _begin() -> None:
@@ -143,6 +168,17 @@ def dask_cluster(address: str) -> Iterator[Executor]:
                 f"{address}: this Dask scheduler has no workers; start some: dask worker {address}"
             ) from None
         yield client.get_executor()
+
+
+def has_workers(executor: Executor) -> bool:
+    """Whether a Dask executor's scheduler answers and has any workers; True for other executors, which own theirs."""
+    client = getattr(executor, "_client", None)
+    if client is None:
+        return True
+    try:
+        return client.status == "running" and bool(client.scheduler_info(n_workers=1)["workers"])
+    except Exception:  # a scheduler that is gone fails in many ways
+        return False
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Dataclasses of arrays and tensors, in one another, as tensors by dotted name: the form that checkpoints hold."""
 
 from dataclasses import fields, is_dataclass
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import torch
@@ -31,5 +31,5 @@ def unflattened(kind: Any, tensors: Tensors, prefix: str = "") -> Any:
             values[name] = None
         else:
             value = tensors[prefix + name]
-            values[name] = value if hint is torch.Tensor else value.numpy()[()]
+            values[name] = value if torch.Tensor in (hint, *get_args(hint)) else value.numpy()[()]
     return kind(**values)

@@ -22,6 +22,7 @@ a few long chains, for ArviZ's figures of chains of four draws mean nothing.
 
 import json
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -35,6 +36,7 @@ import torch
 import xarray as xr
 from torch import Tensor
 
+from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
@@ -311,7 +313,8 @@ def load_posterior(path: str | Path) -> az.InferenceData:
             dict(store.attrs)
         idata = az.from_netcdf(str(path), engine="h5netcdf")
         check_size(idata, path)
-        idata.load()
+        for group in idata.groups():  # in place; InferenceData's own method would load a copy
+            idata[group].load()
         if idata.attrs.get("method") is not None and "draws" not in idata.attrs:
             idata = _of_version_02(idata)
     except InputError:
@@ -332,3 +335,19 @@ def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
     weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values).repeat_interleave(sizes[1])
     with seeded(int(idata.attrs.get("seed", 0))):
         return equally_weighted(idata, weights, _chains(*sizes))
+
+
+def packed(idata: az.InferenceData) -> Tensors:
+    """A posterior as the bytes of its file, the one form of it that workers and checkpoints share."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "posterior.nc"
+        save_posterior(idata, file)
+        return {"file": torch.from_numpy(np.fromfile(file, np.uint8))}
+
+
+def unpacked(part: Tensors) -> az.InferenceData:
+    """The posterior of which :func:`packed` are the bytes."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "posterior.nc"
+        part["file"].numpy().tofile(file)
+        return load_posterior(file)

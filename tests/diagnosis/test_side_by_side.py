@@ -12,6 +12,7 @@ from pendulum import DAMPING, MANY, PENDULUM, diagnosed, recorded
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.inference.execution.distribute import LostWork
 
 WORKERS = pytest.mark.parametrize("workers", [1, 2, 3, 8])
 
@@ -83,7 +84,7 @@ def test_a_process_that_dies_is_one_line():
         begun.set()
         os._exit(9)
 
-    with pytest.raises(RuntimeError, match="ended with code 9: too little memory"):
+    with pytest.raises(LostWork, match="ended with code 9: too little memory"):
         side_by_side([partial(pid_once, begun.wait), dies], 2)
 
 

@@ -116,7 +116,9 @@ def test_options_arrive(commanded, folder, run, calls):
     assert call["recording"].torques[0].tolist() == [1, 2]
     assert call["most"] == 4
     assert (call["budget"], call["tolerance"]) == (None, 0.005)
-    run(*commanded, "--passive", "--most", "6", "--budget", "600", "--tolerance", "0.02")
+    assert call["checkpoint"] is None
+    run(*commanded, "--passive", "--most", "6", "--budget", "600", "--tolerance", "0.02", "--checkpoint", "kept")
+    assert calls[-1]["checkpoint"] == Path("kept")
     assert (calls[-1]["budget"], calls[-1]["tolerance"]) == (600.0, 0.02)
     assert calls[-1]["passive"] is True
     assert calls[-1]["most"] == 6

@@ -56,7 +56,10 @@ def test_films(tmp_path, monkeypatch, run, quick_inference):
 
     def label(server):
         times = np.arange(110) / 30
-        server.take(joints(times)[1][list(server.numbers)].tolist())
+        numbers = server.shared.numbers
+        points = joints(times)[1][numbers].tolist()
+        changes = [[i, p, point, 0] for i, row in enumerate(points) for p, point in enumerate(row)]
+        assert server.take({"since": 0, "changes": changes})["refused"] == []
 
     monkeypatch.setattr(LabelServer, "serve_forever", label)
     monkeypatch.setattr(webbrowser, "open", lambda address: True)

@@ -1,16 +1,20 @@
 """Labels are set in a real browser; the pictures to label are those worth it."""
 
 import json
+import socket
+import struct
 import threading
+import time
 import urllib.error
 import urllib.request
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from browsing import chromium
 from filmed import NAMES, SHOULDER, joints, picture, swinging, write_film
 
-from invdyn.label_server import LabelServer
+from invdyn.label_server import MAX_CONNECTIONS, LabelServer
 from invdyn.recordings import InputError
 from invdyn.recordings.tracking.choose import different, surprising
 from invdyn.recordings.tracking.film import Film
@@ -34,9 +38,8 @@ def served(tmp_path):
     write_labels(Labels(np.array([2]), joints([0.2])[1], NAMES), tmp_path / "l.csv")
     pictures = [picture(each) for each in joints([0.1, 0.5])[1]]
     suggested = iter([np.full((2, 3), np.nan), np.array([[5.0, 6.0, 0.9], [np.nan, np.nan, np.nan]])])
-    before = read_labels(tmp_path / "l.csv")
-    server = LabelServer([4, 9], pictures, NAMES, tmp_path / "l.csv", before, lambda _: next(suggested))
-    thread = threading.Thread(target=server.serve_forever)
+    server = LabelServer([4, 9], pictures, NAMES, tmp_path / "l.csv", lambda _: next(suggested))
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     with server:
         thread.start()
         yield server
@@ -65,64 +68,221 @@ def test_labels_are_set_in_a_browser(browser, served):
     at(20, 22).click().perform()
     at(12, 30).click().perform()
     said("1 of 2 pictures labelled, written")
-    labels = read_labels(served.out)
+    labels = read_labels(served.shared.path)
     assert labels.frames.tolist() == [2, 4]
     step = 40 / canvas.size["width"]  # px of the film on one of the screen
     np.testing.assert_allclose(labels.points[1], [[20, 22], [12, 30]], atol=step)
     assert step < 0.1  # small pictures are shown large
     at(12, 30).click_and_hold().perform()
     at(15, 31).release().perform()  # the second one is dragged
-    wait.until(lambda _: np.allclose(read_labels(served.out).points[1, 1], [15, 31], atol=2 * step))
+    wait.until(lambda _: np.allclose(read_labels(served.shared.path).points[1, 1], [15, 31], atol=2 * step))
     ActionChains(browser).send_keys(Keys.ARROW_RIGHT).perform()
     wait.until(lambda _: browser.find_element("id", "where").text == "Picture 2 of 2 (number 9)")
     ActionChains(browser).send_keys(Keys.ENTER).perform()  # takes the elbow that is suggested
     said("2 of 2 pictures labelled, written")
-    assert read_labels(served.out).points[2, 0].tolist() == [5, 6]
+    assert read_labels(served.shared.path).points[2, 0].tolist() == [5, 6]
     ActionChains(browser).send_keys("1").send_keys("h").perform()  # no, it cannot be seen here
     at(25, 28).click().perform()
-    wait.until(lambda _: read_labels(served.out).seen.tolist() == [[True, True], [True, True], [False, True]])
+    wait.until(lambda _: read_labels(served.shared.path).seen.tolist() == [[True, True], [True, True], [False, True]])
     browser.find_element("id", "done").click()
     said("Labels are written; you may close this page.")
 
 
-def ask(address, content=None):
+def test_a_second_tab_is_merged_and_warned(browser, served):
+    """Points of both tabs stay; where both set the same one, the second is refused, and says so."""
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    wait = WebDriverWait(browser, 60)
+
+    def click(u, v):
+        canvas = browser.find_element("id", "picture")
+        width, height = canvas.size["width"], canvas.size["height"]
+        x, y = (u + 0.5) * width / 40 - width / 2, (v + 0.5) * height / 40 - height / 2
+        ActionChains(browser, duration=0).move_to_element_with_offset(canvas, round(x), round(y)).click().perform()
+
+    browser.get(served.address)
+    wait.until(lambda _: browser.find_element("id", "where").text == "Picture 1 of 2 (number 4)")
+    # another tab's, while this one is open: the wrist here, and an elbow
+    other = {"since": 0, "changes": [[0, 1, [30, 5], 0], [0, 0, [20, 5], 0]]}
+    assert json.loads(ask(f"{served.address}labels", json.dumps(other).encode())[1])["refused"] == []
+    click(10, 12)  # the elbow
+    wait.until(lambda _: "elbow in picture 1 was changed elsewhere" in browser.find_element("id", "said").text)
+    assert browser.find_element("id", "said").get_attribute("class") == "bad"
+    assert read_labels(served.shared.path).points[1].tolist() == [[20, 5], [30, 5]]
+    browser.find_elements("css selector", "#names button")[0].click()
+    click(10, 12)  # once more, and it is meant
+    wait.until(lambda _: browser.find_element("id", "said").text == "1 of 2 pictures labelled, written")
+    np.testing.assert_allclose(read_labels(served.shared.path).points[1], [[10, 12], [30, 5]], atol=0.2)
+
+
+def ask(address, content=None, **headers):
     try:
-        with urllib.request.urlopen(address, content) as answer:
+        with urllib.request.urlopen(urllib.request.Request(address, content, headers)) as answer:
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         with error:
             return error.code, error.read()
 
 
+def changes(*each, since=0):
+    return json.dumps({"since": since, "changes": each}).encode()
+
+
 def test_the_server_takes_nothing_else(served):
-    before = served.out.read_bytes()
-    root = f"http://127.0.0.1:{served.server_port}/"
-    assert ask(root)[0] == 404  # the word is secret
-    assert ask(f"{root}x/state")[0] == 404
-    assert ask(f"{root}x/labels", b"[]")[0] == 404
-    assert ask(f"{served.address}picture/1")[0] == 200
-    for path in ("picture/2", "picture/-1"):
-        assert ask(f"{served.address}{path}")[0] == 404
-    for length in ("x", "-1", str(1 << 30)):
-        call = urllib.request.Request(f"{served.address}labels", b"[]", {"Content-Length": length})
-        assert ask(call)[0] == 400
-    assert ask(f"{served.address}../invdyn/cli.py")[0] == 404
-    huge = f"[[[1{0:0400},2],null],[null,null]]".encode()  # more than a float64 holds
+    before = served.shared.path.read_bytes()
+    labels = f"{served.address}labels"
+    for length in ("x", "-1", "+2", "1_0", "", str(1 << 30), "9" * 5000):
+        assert ask(labels, b"[]", **{"Content-Length": length})[0] == 400
     for content in (
         b"",
         b"{}",
         b"[]",
-        b"[[[1,2],[3]],[null,null]]",
-        b'[[["a",2],null],[null,null]]',
+        b"null",
         b"[" * 5000,
-        huge,
+        b'{"since": 0, "changes": []',
+        b'{"since": 0, "changes": [], "more": 1}',
+        b'{"since": "0", "changes": []}',
+        b'{"since": true, "changes": []}',
+        b'{"since": 0, "changes": {}}',
+        changes([0, 0, [1, 2]]),
+        changes([0, 0, None]),
+        changes([2, 0, [1, 2], 0]),
+        changes([-1, 0, [1, 2], 0]),
+        changes([0, 2, [1, 2], 0]),
+        changes([0.0, 0, [1, 2], 0]),
+        changes([0, 0, [1, 2, 3], 0]),
+        changes([0, 0, ["a", 2], 0]),
+        changes([0, 0, [True, 2], 0]),
     ):
-        assert ask(f"{served.address}labels", content)[0] == 400
-    assert ask(f"{served.address}labels", json.dumps([[[1e9, 2], None], [None, None]]).encode())[0] == 400
-    assert served.out.read_bytes() == before
-    assert ask(f"{served.address}labels", json.dumps([[[1.5, 2], None], [None, None]]).encode()) == (200, b"written")
-    assert read_labels(served.out).frames.tolist() == [2, 4]
-    assert json.loads(ask(f"{served.address}state")[1])["points"] == [[[1.5, 2.0], None], [None, None]]
+        assert ask(labels, content)[0] == 400, content
+    assert served.shared.path.read_bytes() == before
+
+
+@pytest.mark.parametrize("point", ["[null, 2]", "[NaN, 2]", "[1, NaN]", "[1e9, 2]", "[-1, 2]", f"[1{'0' * 400}, 2]"])
+def test_half_points_and_points_outside_are_refused(served, point):
+    before = served.shared.path.read_bytes()
+    content = f'{{"since": 0, "changes": [[0, 0, {point}, 0]]}}'.encode()
+    status, words = ask(f"{served.address}labels", content)
+    assert (status, words[:16]) == (400, b"expected a point")
+    assert served.shared.path.read_bytes() == before
+    assert np.isnan(served.shared.points).all()
+
+
+def test_a_change_is_written_and_seen_by_others(served):
+    status, answer = ask(f"{served.address}labels", changes([0, 0, [1.5, 2], 0]))
+    assert status == 200
+    ((*place, point, version),) = json.loads(answer)["changed"]
+    assert (place, point) == ([0, 0], [1.5, 2.0])
+    assert read_labels(served.shared.path).frames.tolist() == [2, 4]
+    state = json.loads(ask(f"{served.address}state")[1])
+    assert state["changed"] == [[0, 0, [1.5, 2.0], version]]
+    assert state["revision"] == version
+
+
+def raw(served, *lines, content=b""):
+    """Status of the answer to a request of those lines; None where the server hangs up without one."""
+    with socket.create_connection(("127.0.0.1", served.server_port)) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode("latin-1") + content)
+        answer = connection.makefile("rb").readline().split()
+        return int(answer[1]) if answer else None
+
+
+def test_only_the_path_itself_is_one(served):
+    """No second spelling of a path reaches it: an attacker's guess at one is as good as at any."""
+    host, secret = f"Host: 127.0.0.1:{served.server_port}", served.secret
+    assert raw(served, f"GET /{secret}/state HTTP/1.1", host) == 200
+    for target in (
+        f"//{secret}/state",
+        f"///{secret}/",
+        f"/./{secret}/",
+        f"/{secret}//state",
+        f"/{secret}/./state",
+        f"/{secret}/../{secret}/",
+        f"/{secret}/state?",
+        f"/{secret}/state#x",
+        f"/%{ord(secret[0]):02x}{secret[1:]}/",
+        f"http://127.0.0.1:{served.server_port}/{secret}/state",
+        f"/{secret}",
+        f"/{secret}/picture/2",
+        f"/{secret}/picture/-1",
+        f"/{secret}/picture/01",
+        f"/{secret}/../invdyn/cli.py",
+        f"/{secret[:-1]}é/",
+        "/x/state",
+        "/",
+    ):
+        assert raw(served, f"GET {target} HTTP/1.1", host) == 404, target
+
+
+def test_another_host_or_page_reaches_nothing(served):
+    """DNS rebinding: a page of evil.example whose name now means 127.0.0.1 knows neither this host nor this origin."""
+    port, own = served.server_port, f"Host: 127.0.0.1:{served.server_port}"
+    state, labels = f"GET /{served.secret}/state HTTP/1.1", f"POST /{served.secret}/labels HTTP/1.1"
+    assert raw(served, state, f"Host: localhost:{port}") == 200
+    for host in (f"evil.example:{port}", "127.0.0.1", "127.0.0.1:1", f"127.0.0.1:{port}.evil.example", ""):
+        assert raw(served, state, f"Host: {host}") == 404, host
+    assert raw(served, state) == 404
+    assert raw(served, state, own, "Host: evil.example") == 404
+    content = changes([0, 0, [1, 2], 0])
+    length = f"Content-Length: {len(content)}"
+    for origin in ("http://evil.example", "null", f"https://127.0.0.1:{port}", ""):
+        assert raw(served, labels, own, length, f"Origin: {origin}", content=content) == 404, origin
+    assert np.isnan(served.shared.points).all()
+    assert raw(served, labels, own, length, f"Origin: http://127.0.0.1:{port}", content=content) == 200
+
+
+@pytest.mark.parametrize("limit", ["LONGEST", "_Handler.timeout"])
+def test_a_connection_that_sends_nothing_is_ended(served, monkeypatch, limit):
+    monkeypatch.setattr(f"invdyn.label_server.{limit}", 0.2)
+    with socket.create_connection(("127.0.0.1", served.server_port)) as connection:
+        connection.sendall(b"GET /")
+        assert connection.recv(1) == b""
+
+
+def test_a_connection_that_sends_slowly_is_ended(served, monkeypatch):
+    """Each byte is in time, and their sum is not."""
+    monkeypatch.setattr("invdyn.label_server.LONGEST", 0.2)
+    with socket.create_connection(("127.0.0.1", served.server_port)) as connection, suppress(ConnectionError):
+        while True:  # until the server's end is closed, and says so by a reset
+            connection.sendall(b"a")
+            time.sleep(0.005)
+
+
+def test_one_connection_too_many_is_closed_at_once(served):
+    silent = [socket.create_connection(("127.0.0.1", served.server_port)) for _ in range(MAX_CONNECTIONS)]
+    try:
+        while served.active < MAX_CONNECTIONS:
+            time.sleep(0.005)
+        with socket.create_connection(("127.0.0.1", served.server_port)) as late:
+            assert late.recv(1) == b""
+        assert served.active == MAX_CONNECTIONS
+    finally:
+        for each in silent:
+            each.close()
+    while served.active:
+        time.sleep(0.005)
+    assert ask(f"{served.address}state")[0] == 200
+
+
+def test_a_client_that_leaves_is_no_traceback(served, capfd):
+    """In the middle of its request, of its content, and of the answer."""
+    host, length = f"Host: 127.0.0.1:{served.server_port}", "Content-Length: 100"
+    leave = struct.pack("ii", 1, 0)  # a reset, as of a killed browser
+    for words in (
+        "GET",
+        f"GET /{served.secret}/picture/0 HTTP/1.1\r\n{host}\r\n\r\n",
+        f"POST /{served.secret}/labels HTTP/1.1\r\n{host}\r\n{length}\r\n\r\n[",
+    ):
+        for option in (None, leave):
+            with socket.create_connection(("127.0.0.1", served.server_port)) as connection:
+                if option is not None:
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, option)
+                connection.sendall(words.encode())
+    while served.active:
+        time.sleep(0.005)
+    assert ask(f"{served.address}state")[0] == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_different_pictures_are_chosen(tmp_path):
@@ -158,7 +318,9 @@ def test_the_command_labels_and_goes_on(tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
 
     def user(server):
-        server.take([[[1.0, 2.0], [3.0, 4.0]] for _ in server.numbers])
+        both = enumerate([[1.0, 2.0], [3.0, 4.0]])
+        changes = [[i, p, point, 0] for p, point in both for i in range(len(server.shared.numbers))]
+        server.take({"since": 0, "changes": changes})
 
     monkeypatch.setattr(LabelServer, "serve_forever", user)
     call = ("label", "f.mov", "--out", "l.csv", "--count", "3", "--no-browser")

@@ -111,9 +111,62 @@ def test_killed_and_resumed_is_the_same(simulated, run, started):
     assert len(other.stderr.splitlines()) == 1
 
 
+COMPARE = ("compare", *INFER[1:], "--methods", "smc,laplace", "--filters", 6)
+DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--held-out", "rec2.csv", "--without")
+KILLED = (
+    *PROGRAM[:3],
+    "-c",
+    "import os, signal\n"
+    "from invdyn.cli import app\n"
+    "from invdyn.inference.execution.checkpoint import Checkpoint\n"
+    "save = Checkpoint.save\n"
+    "saved = []\n"
+    "def dies(self, *tensors, **state):\n"
+    "    save(self, *tensors, **state)\n"
+    "    saved.append(self.place)\n"
+    "    if len(saved) == 4:\n"
+    "        os.kill(os.getpid(), signal.SIGKILL)\n"
+    "Checkpoint.save = dies\n"
+    "app(prog_name='invdyn')\n",
+)
+"""The program, killed as soon as the fourth thing is kept."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", ["compare", "diagnose"])
+def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, command):
+    """Killed again and again, each time a few units further on, until the same call reaches its end."""
+    pytest.importorskip("safetensors")
+    from invdyn.models.effects import EFFECTS
+
+    without = ",".join(name for name in EFFECTS if name not in ("viscous_friction", "payload"))
+    for seed, name in enumerate(("rec.csv", "rec2.csv")):
+        run("simulate", "--body", "arm.toml", "--out", name, "--duration", 1, "--seed", seed, "--commanded")
+    call = COMPARE if command == "compare" else (*DIAGNOSE, without, "--workers", 2)
+    files = ("smc.nc", "laplace.nc") if command == "compare" else ("posterior.nc", "diagnosis.json")
+    kills = 0
+    while True:
+        process = started(*KILLED, *call, "--checkpoint", "kept", "--out", "parts", stderr=subprocess.DEVNULL)
+        if process.wait() == 0:
+            break
+        assert process.returncode in (-signal.SIGKILL, 2)  # 2: where a copy was killed, which the first process says
+        assert not Path("parts").exists()
+        kills += 1
+    assert kills > 0
+    assert run(*call, "--out", "whole").exit_code == 0
+    for name in files:
+        one, other = Path("parts", name), Path("whole", name)
+        same = torque(one) == torque(other) if name.endswith(".nc") else one.read_bytes() == other.read_bytes()
+        assert same, name
+
+
 @pytest.mark.parametrize(
     "stop",
-    [pytest.param(signal.SIGINT, id="Ctrl-C"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.slow)],
+    [
+        pytest.param(signal.SIGINT, id="Ctrl-C"),
+        pytest.param(signal.SIGTERM, id="terminated", marks=pytest.mark.long),
+        pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long),
+    ],
 )
 def test_no_worker_is_left_behind(simulated, started, stop):
     call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
@@ -130,6 +183,9 @@ def test_no_worker_is_left_behind(simulated, started, stop):
     if stop == signal.SIGINT:
         assert process.returncode == 130
         assert errors.splitlines() == ["interrupted: what was not finished was not written"]
+    if stop == signal.SIGTERM:
+        assert process.returncode == 143
+        assert errors.splitlines() == ["terminated: what was not finished was not written"]
     assert not Path("p.nc").exists()
 
 

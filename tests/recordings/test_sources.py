@@ -3,9 +3,11 @@
 import gc
 import hashlib
 import http.server
+import multiprocessing
 import threading
 import warnings
 
+import pooch
 import pytest
 
 from invdyn.recordings import InputError
@@ -96,3 +98,35 @@ def test_what_is_not_published_needs_the_folder(monkeypatch):
     monkeypatch.delenv("INVDYN_DATA", raising=False)
     with pytest.raises(InputError, match=r"film\.csv is not published: set INVDYN_DATA"):
         fetch(Source("film.csv"))
+
+
+def fetch_with_another(wanted, both_found_nothing, results):
+    """One of two processes; neither downloads before both have looked into the empty cache."""
+    own = pooch.HTTPDownloader
+
+    def downloader(**options):
+        load = own(**options)
+
+        def wait_and_load(*arguments, **more):
+            both_found_nothing.wait()
+            return load(*arguments, **more)
+
+        return wait_and_load
+
+    pooch.HTTPDownloader = downloader
+    results.put(fetch(wanted).read_text())
+
+
+def test_two_processes_that_start_on_an_empty_cache_both_succeed(server, tmp_path):
+    (server / "rec.csv").write_text(WIDE)
+    context = multiprocessing.get_context("fork")
+    both, results = context.Barrier(2), context.SimpleQueue()
+    arguments = source(WIDE), both, results
+    processes = [context.Process(target=fetch_with_another, args=arguments) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert [results.get(), results.get()] == [WIDE, WIDE]
+    assert len([path for path in (tmp_path / "cache").rglob("*") if path.is_file()]) == 1

@@ -4,6 +4,7 @@ import functools
 import hashlib
 import json
 import math
+import multiprocessing
 
 import pytest
 from chains import random_case
@@ -126,3 +127,29 @@ def test_a_source_that_earlier_versions_ran_is_not_run(tmp_path):
 def test_the_folder_is_the_users_alone(tmp_path):
     euler_lagrange.torch_functions(1, tmp_path / "cache")
     assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
+
+
+def derive_with_another(folder, both_found_nothing, results):
+    """One of two processes; neither derives before both have looked into the empty cache."""
+
+    def derive(num_joints):
+        both_found_nothing.wait()
+        return derive_once(num_joints)
+
+    euler_lagrange.generate = derive
+    results.put(evaluate(euler_lagrange.torch_functions(2, folder)))
+
+
+def test_two_processes_that_start_on_an_empty_cache_both_succeed(tmp_path):
+    expected = evaluate(euler_lagrange.torch_functions(2, tmp_path / "other"))
+    context = multiprocessing.get_context("fork")
+    both, results = context.Barrier(2), context.SimpleQueue()
+    processes = [context.Process(target=derive_with_another, args=(tmp_path / "new", both, results)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert [results.get(), results.get()] == [expected, expected]
+    assert len(list((tmp_path / "new").iterdir())) == 1  # and nothing half-written
+    assert evaluate(euler_lagrange.torch_functions(2, tmp_path / "new")) == expected
