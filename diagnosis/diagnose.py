@@ -64,6 +64,7 @@ def diagnose(
     budget: float | None = None,
     tolerance: float = RULE.tolerance,
     checked: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
     checkpoint: str | Path | None = None,
 ) -> Diagnosis:
@@ -87,6 +88,7 @@ def diagnose(
             nor does what a cause leaves.
         checked: somebody has asked :func:`.check_before` of each recording. Else it is asked here: it refuses what is
             surely a mistake in the recording, and warns of what may be one.
+        force: go on where a mistake in the recording is sure: it is warned of, and not refused.
         progress: called with (done, total, what).
         checkpoint: folder of this diagnosis, made when missing: what is screened, refined and confirmed is kept there
             (:mod:`.kept_units`), so that the same call goes on where it was killed, with any number of workers. With a
@@ -141,17 +143,19 @@ def diagnose(
             keeper.save({})
     if not checked:
         for each in (*_each(recording), *_each(held_out or ())):
-            check_before(each, body, passive)
+            check_before(each, body, passive, force)
     try:
-        bound = diagnosis_problem(recording, body, passive=passive)
+        bound = diagnosis_problem(recording, body, passive=passive, force=force)
     except NotEnoughData as error:
         whole, _ = joined(_each(recording))
         return nothing_to_say(whole, body, seed, passive, str(error))
     work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
     bound = replace(bound, budget=allowed, checkpoint=keeper)
-    other = None if held_out is None else diagnosis_problem(held_out, body, passive=passive)
-    other = None if other is None else replace(other, budget=allowed, checkpoint=keeper)
+    other = None
+    if held_out is not None:
+        other = diagnosis_problem(held_out, body, passive=passive, force=force)
+        other = replace(other, budget=allowed, checkpoint=keeper)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "

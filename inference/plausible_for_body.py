@@ -3,6 +3,8 @@
 :mod:`invdyn.recordings.plausible` compares numbers with numbers; here these are a body's.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -29,6 +31,7 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
     if isinstance(body, Body):
         guessed = guessed or any(not isinstance(link.length, int | float) for link in body.links)
         guessed = guessed or body.uncertainty.get("length", 0.0) > 0
+        recording = in_chain_order(recording, body)
         check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units, guessed)
     elif isinstance(body, Tree):
         numbers, dynamics = body.parameters(), dynamics_for(body)
@@ -44,6 +47,34 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
             numbers.position[0].tolist() if rooted(body) else None,
             numbers.position.norm(dim=-1).sum().item() + max(numbers.sites.norm(dim=-1).tolist(), default=0.0),
         )
+
+
+def in_chain_order(recording: Recording, body: Body) -> Recording:
+    """The recording with its columns in the order of the chain; keypoints or joints of other names stay as they are."""
+    points = _order(recording.keypoint_names, (body.base_keypoint, *body.keypoint_names))
+    joints = _order(recording.joint_names, body.joint_names)
+
+    if points == sorted(points) and joints == sorted(joints):
+        return recording
+
+    def columns(values: np.ndarray | None, order: list[int]) -> np.ndarray | None:
+        return None if values is None else values[:, order]
+
+    return replace(
+        recording,
+        keypoints=recording.keypoints[:, points],
+        keypoint_names=tuple(recording.keypoint_names[k] for k in points),
+        confidence=columns(recording.confidence, points),
+        angles=columns(recording.angles, joints),
+        torques=columns(recording.torques, joints),
+        joint_names=tuple(recording.joint_names[k] for k in joints),
+    )
+
+
+def _order(names: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Places of ``names`` as they come among those that are known; their own order where one is not."""
+    places = list(range(len(names)))
+    return sorted(places, key=lambda k: known.index(names[k])) if set(names) <= set(known) else places
 
 
 def slides(body: ArticulatedBody) -> set[str]:

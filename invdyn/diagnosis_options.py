@@ -60,6 +60,9 @@ class Diagnosed(Recorded):
     episodes: Annotated[
         str, typer.Option(help="Which episodes of a log to diagnose together, such as 0,1; default: the first.")
     ] = "0"
+    force: Annotated[
+        bool, typer.Option("--force", help="Go on where the recording has a mistake that is sure; it is printed.")
+    ] = False
     seed: Seed = 0
     workers: Annotated[
         int,
@@ -166,7 +169,7 @@ class Diagnosed(Recorded):
             recording = self.read(name, body, as_filmed=True, frames=frames)
             readings = [Reading(recording, parse_units(self.units))]
         for reading in readings:
-            check_before(reading, body, self.passive or self.hide_torque)
+            check_before(reading, body, self.passive or self.hide_torque, self.force)
         found = [reading.recording for reading in readings]
         if not self.hide_torque:
             return found
@@ -197,6 +200,7 @@ class Diagnosed(Recorded):
             "budget": self.budget,
             "tolerance": self.tolerance,
             "checked": not self.calibration,
+            "force": self.force,
             "seed": self.seed,
             "workers": self.workers,
         }

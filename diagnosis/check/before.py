@@ -8,9 +8,9 @@ diagnosis is for.
 import warnings
 
 from invdyn.diagnosis.check.check import Wrong, check
-from invdyn.diagnosis.problem.conventions import MISSED, NEAR, SIGNS
+from invdyn.diagnosis.problem.conventions import MISSED, NEAR, SIGNS, refuse
 from invdyn.models import ArticulatedBody
-from invdyn.recordings import InputError, Recording
+from invdyn.recordings import Recording
 from invdyn.recordings.reading import Reading
 
 TILTED, LIMITED = 0.45, 0.18
@@ -19,8 +19,12 @@ GEARED = 300.0
 """A larger factor is no gear, of which robots have 160 at most: effects far larger than usual may look like it."""
 
 
-def check_before(recording: Recording | Reading, body: ArticulatedBody, passive: bool = False) -> None:
+def check_before(
+    recording: Recording | Reading, body: ArticulatedBody, passive: bool = False, force: bool = False
+) -> None:
     """Raise InputError for what is surely a mistake; warn of one that is not sure, or may be an effect.
+
+    By ``force`` nothing is raised: what would be is warned of.
 
     Surely: numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and less
     than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused where a
@@ -35,15 +39,17 @@ def check_before(recording: Recording | Reading, body: ArticulatedBody, passive:
     implausible = [wrong for wrong in found if wrong.kind == "refused"]
     for wrong in implausible:
         if isinstance(recording, Reading):
-            raise InputError(f"{given.name}: {wrong.words}")
+            refuse(f"{given.name}: {wrong.words}", force)
+            continue
         warnings.warn(f"{given.name}: {wrong.words}", stacklevel=2)
     if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
-        raise InputError(f"{given.name}: {what}; `invdyn check` says more")
+        refuse(f"{given.name}: {what}; `invdyn check` says more, and --force goes on", force)
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body)
         if _sure(wrong, body) and effect is None and n == 0:
-            raise InputError(f"{said}; `invdyn check` says more")
+            refuse(f"{said}; `invdyn check` says more, and --force goes on", force)
+            continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
     if checked.unclear and given.angles is not None:  # a film's accelerations are too noisy to tell
         warnings.warn(

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
-from invdyn.diagnosis.check.units import motions, wrong_units
+from invdyn.diagnosis.check.units import idle, motions, wrong_units
 from invdyn.diagnosis.check.visible import Visible, visible
-from invdyn.diagnosis.problem.mistakes import MISSED, NEAR, Found, Mistake, find, fixed, left_by, units
+from invdyn.diagnosis.problem.mistakes import MISSED, NEAR, Found, Mistake, find, fixed, gears, left_by, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -67,6 +67,7 @@ class Check:
         excited: base parameters, best known first.
         visible: effects; None where the log must be put right first, or nobody asked.
         not_looked_at: what only torques beside a motion tell, and why this log does not; None where it was looked at.
+        dropped: whether a mistake was found whose remedy leaves more of a joint's torques than a right log does.
     """
 
     recording: str
@@ -76,11 +77,14 @@ class Check:
     excited: tuple[BaseParameter, ...]
     visible: Visible | None
     not_looked_at: str | None = None
+    dropped: bool = False
 
     @property
     def unclear(self) -> bool:
         """Whether the torques miss more than those of a log that is right, and no mistake explains it."""
-        return not self.mistakes and self.unexplained is not None and self.unexplained > NEAR
+        if self.mistakes or self.unexplained is None:
+            return False
+        return self.unexplained > NEAR or (self.dropped and self.unexplained > MISSED)
 
     def to_json(self) -> dict:
         """As a JSON file has it."""
@@ -92,7 +96,7 @@ class Check:
                     "joints": list(wrong.joints),
                     "what": wrong.words,
                     "remedy": wrong.remedy,
-                    "value": wrong.value,
+                    "value": None if np.isnan(wrong.value) else wrong.value,
                     "torque_missed": None if np.isnan(wrong.before) else [wrong.before, wrong.after],
                     "or": list(wrong.others),
                 }
@@ -124,12 +128,15 @@ def check(
     if told is not None and not units_wrong:
         mistakes.append(Wrong("refused", (), told, "see there", float("nan")))
     left: Explained | None = None
+    dropped = False
     base: list[BaseParameter] = []
     encoders = recording.angles is not None
     dynamics = dynamics_for(body)
-    motion = None if passive else _motion(reading, body)
+    unclear = any(each.kind == "percent" for each in units_wrong)  # no angle is known, as no range is
+    motion = None if passive or unclear else _motion(reading, body)
     if motion is not None:
-        for each in find(dynamics, body, motion, encoders=encoders, said=reading.units):
+        found, dropped = find(dynamics, body, motion, encoders=encoders, said=reading.units)
+        for each in found:
             mistakes.append(_in_words(each.mistake, body.joint_names, each))
             motion = each.mistake.right(motion) or motion
         left = explain(dynamics, body, motion)
@@ -147,19 +154,22 @@ def check(
         {} if left is None else dict(zip(body.joint_names, left.by_joint.tolist(), strict=True)),
         tuple(base),
         shown,
-        f"{BY_TORQUES}: {_unmoved(recording, passive)}" if motion is None else None,
+        f"{BY_TORQUES}: {_unmoved(recording, body, passive, unclear)}" if motion is None else None,
+        dropped,
     )
 
 
-def _unmoved(recording: Recording, passive: bool) -> str:
-    """Why a log has no motion with torques."""
+def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear: bool = False) -> str:
+    """Why a log has no motion with torques; ``unclear`` is the unit of its angles."""
     if passive:
         return "no torque acts"
+    if unclear:
+        return "the unit of the angles is not known"
     if recording.torques is None:
         return "the log has no torques"
     if not np.isfinite(recording.torques).all():
         return "torques are missing at some joint or row"
-    return "the log has too few rows" if recording.torques.any() else "all torques are zero"
+    return "all torques are zero" if idle(recording, body) else "the log has too few rows"
 
 
 def _motion(reading: Reading, body: ArticulatedBody) -> Motion | None:
@@ -172,6 +182,8 @@ def _motion(reading: Reading, body: ArticulatedBody) -> Motion | None:
     if min(plain) <= MISSED:  # nothing is wrong
         return every[int(np.argmin(plain))]
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
+    if reading.units.mapping is not None and (terms := every[0].terms) is not None:
+        known += gears(terms, reading.units.mapping)
 
     def best(motion: Motion) -> float:
         own = (explain(dynamics, body, each).misfit for each in (motion, as_large(dynamics, body, motion)))

@@ -51,6 +51,8 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
     """Base parameters along a motion, best known first; ``by_joint`` (K,) is the share of torque that is left."""
     names, units, values = _named(body)
     size = np.sqrt((motion.torque**2).mean(0))
+    if not size.any():  # nothing was measured that noise could be a share of
+        return []
     noise = np.maximum(by_joint, LEAST) * np.maximum(size, 0.01 * size.max())
     X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
     rows = X.reshape(len(X), -1).T

@@ -4,8 +4,12 @@ A unit that nobody declared is wrong where its numbers cannot be the body's, and
 (:mod:`..problem.mistakes`). One that was declared is wrong where, beside that, the torques are far from what the motion
 asks for, and near it in the other unit. One mistake comes before two; of several that will do, that one is taken with
 which the torques fit best.
+
+Numbers of a mapping within ±100 may be degrees, or say how far each joint is in its range (LeRobot's usual unit). Only
+torques tell these two apart. Numbers that end at ±100, or at 0 and 100, are no degrees.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -13,15 +17,24 @@ from itertools import combinations
 import numpy as np
 
 from invdyn.diagnosis.problem.angles import recorded_angles
+from invdyn.diagnosis.problem.diagnosis_problem import FEWEST
 from invdyn.diagnosis.problem.mistakes import BETTER, NEAR, Mistake, units
+from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
 from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.effects.scale import NEGLIGIBLE, typical_torque
 from invdyn.recordings import InputError, Recording
+from invdyn.recordings.logs.mapping import ENDS
 from invdyn.recordings.plausible import check_magnitudes, check_shifts
 from invdyn.recordings.reading import Reading
 from invdyn.recordings.units import Units
+
+BORNE_OUT = 0.1
+"""Of the torques, that they miss at most of what a motion in degrees asks, where degrees are what it is in."""
+AT_END = 0.5
+"""Of a number, by which it is at the end of a range of ±100."""
 
 
 def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Reading]:
@@ -30,6 +43,8 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
     None, no mistakes and the reading as it is where nothing does; no mistakes where no other unit will do.
     """
     recording = reading.recording
+    if _rows(recording) < FEWEST:  # too few to tell a pace by
+        return None, (), reading
     told = _implausible(recording, body, reading.units)
     if told is None and _implausible(recording, body, Units()) is None:
         return None, (), reading
@@ -54,16 +69,53 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
     missed, mistakes, righted = min(found, key=lambda each: each[0])
     if told is None and not missed < min(BETTER * _missed(reading, body), NEAR):
         return None, (), reading
+    degrees = any(mistake.kind == "degrees" for mistake in mistakes)
+    if degrees and (shares := _shares(reading, body, borne_out=0 < missed < BORNE_OUT)) is not None:
+        return told, (shares,), reading
     return told, mistakes, righted
 
 
+def _rows(recording: Recording) -> int:
+    """Rows with an observation."""
+    seen = np.isfinite(recording.keypoints).any((1, 2))
+    return int((seen if recording.angles is None else seen | np.isfinite(recording.angles).any(1)).sum())
+
+
+def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool) -> Mistake | None:
+    """That a mapping's numbers are, or may be, shares of each joint's range; None where they are degrees.
+
+    ``borne_out``: whether the torques say that they are degrees.
+    """
+    recording = reading.recording
+    if reading.maps is None or recording.angles is None:
+        return None
+    order = [recording.joint_names.index(name) for name in body.joint_names if name in recording.joint_names]
+    angles = recording.angles[:, order]
+    if angles.shape[1] != body.num_joints:
+        return None
+    raw = RobotTerms.of(body, np.zeros_like(angles), reading.maps).angle.raw(angles)
+    low, high = np.nanmin(raw, axis=0, initial=np.inf), np.nanmax(raw, axis=0, initial=-np.inf)
+    beyond = bool((np.maximum(-low, high) > ENDS[1] + AT_END).any())
+    ends = bool((np.abs(np.stack([-low, high]) - ENDS[1]) <= AT_END).any())
+    if beyond or (borne_out and not ends):
+        return None
+    lines = " and ".join(f'"{track} = …"' for track in (("angle", "target") if reading.targets else ("angle",)))
+    turn = f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {reading.units.mapping}"
+    if ends:
+        words = "numbers end at ±100: they say how far each joint is in its range, as LeRobot's do"
+        return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+    words = "the angles are no radians: LeRobot's −100 to 100 of each joint's range, or degrees"
+    turn += ', or, if they are degrees, unit = "deg"'
+    return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+
+
 def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
-    """Motion and torques under each window; none where no torque is known.
+    """Motion and torques under each window; none where no torque is known, or none acts to speak of.
 
     Raises InputError where a joint of the body has no torques.
     """
     recording = reading.recording
-    if recording.torques is None or not np.isfinite(recording.torques).all() or not recording.torques.any():
+    if recording.torques is None or not np.isfinite(recording.torques).all() or idle(recording, body):
         return []
     order = [recording.joint_names.index(name) for name in body.joint_names if name in recording.joint_names]
     if len(order) < body.num_joints:
@@ -76,6 +128,14 @@ def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
     return smoothings(body, recording.time, angle, recording.torques[:, order], reading.maps)
 
 
+def idle(recording: Recording, body: ArticulatedBody) -> bool:
+    """Whether all torques are zero, or so small that they move nothing."""
+    if recording.torques is None:
+        return True
+    typical = typical_torque(dynamics_for(body), body.parameters()).max().item()
+    return not bool((np.abs(recording.torques) > NEGLIGIBLE * typical).any())
+
+
 def _missed(reading: Reading, body: ArticulatedBody) -> float:
     """The misfit of the torques under the window that it is least under; 0 where none are known."""
     dynamics = dynamics_for(body)
@@ -84,7 +144,13 @@ def _missed(reading: Reading, body: ArticulatedBody) -> float:
 
 def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
     """One mistake, or one of angles and one of times."""
-    every = list(units(reading.units, reading.targets))
+    stated = None
+    if reading.maps is not None:
+        stated = {
+            track: {own.unit for own in (getattr(each, track) for each in reading.maps) if own is not None} or {None}
+            for track in ("angle", "target")
+        }
+    every = list(units(reading.units, reading.targets, stated))
     yield from ((mistake,) for mistake in every)
     yield from (pair for pair in combinations(every, 2) if len({each.kind == "time" for each in pair}) == 2)
 

@@ -8,11 +8,12 @@ Shapes: T rows, K joints.
 """
 
 import math
+import warnings
 
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.problem.mistakes import fixed, left_by, zero
+from invdyn.diagnosis.problem.mistakes import CLEAN, fixed, left_by, zero
 from invdyn.diagnosis.problem.torque_regression import explain, smoothings
 from invdyn.models import ArmModel, Body
 from invdyn.recordings import InputError
@@ -29,8 +30,15 @@ LEVER = 0.02
 """Of the arm, that a link must be seen to be long for its direction to count."""
 
 
-def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: Tensor) -> None:
-    """Raise InputError for the sign or zero of a joint that no robot and camera have at once.
+def refuse(message: str, force: bool) -> None:
+    """Raise InputError for a mistake in a recording, or, by ``force``, warn of what would have been refused."""
+    if not force:
+        raise InputError(message)
+    warnings.warn(f"{message}. Refused but for --force", stacklevel=3)
+
+
+def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: Tensor, force: bool = False) -> None:
+    """Refuse the sign or zero of a joint that no robot and camera have at once; see :func:`refuse`.
 
     ``observations`` (T, O) are the model's, ``angle`` (T, K) a path through them where no encoders are.
     """
@@ -38,12 +46,14 @@ def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: T
     if observation.encoders is not None:
         angle = observation.of(observation.encoders, observations)
         if isinstance(model.body, Body):  # links of a plane have a direction there
-            _check_keypoints(name, model, model.body, observation.points(observations).numpy(), angle.numpy())
+            _check_keypoints(name, model, model.body, observation.points(observations).numpy(), angle.numpy(), force)
     if model.command is not None and bool(model.command.any()) and bool(model.body_parameters().gravity.any()):
-        _check_torques(name, model, model.command.numpy(), angle.numpy())
+        _check_torques(name, model, model.command.numpy(), angle.numpy(), force)
 
 
-def _check_keypoints(name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray) -> None:
+def _check_keypoints(
+    name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray, force: bool
+) -> None:
     """Encoders (T, K) against the directions of links that the camera sees, keypoints (T, P, 2)."""
     seen = dict(zip(model.observation.tracked, points.swapaxes(0, 1), strict=True))
     seen[-1] = np.broadcast_to(np.array(body.base), (len(points), 2))
@@ -61,19 +71,21 @@ def _check_keypoints(name: str, model: ArmModel, body: Body, points: np.ndarray,
             continue
         same, other = (np.exp(1j * (angle[use, k] - way * turned[use])).mean() for way in (1, -1))
         if abs(other) > ALIKE > abs(same):
-            raise InputError(
+            refuse(
                 f"{name}: the encoder of joint {joint!r} turns the other way than its keypoints: does the robot count "
-                "it clockwise? Change the sign of its angles and torques"
+                "it clockwise? Change the sign of its angles and torques",
+                force,
             )
         if abs(same) > ALIKE and abs(np.angle(same)) > (APART if k else ROLLED):
-            raise InputError(
+            refuse(
                 f"{name}: the encoder of joint {joint!r} and its keypoints differ by "
                 f"{math.degrees(np.angle(same)):.0f}° all along. Ours is zero where the link lies "
-                f"{'along x' if k == 0 else 'along the one before'}: subtract the difference from its angles"
+                f"{'along x' if k == 0 else 'along the one before'}: subtract the difference from its angles",
+                force,
             )
 
 
-def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray) -> None:
+def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray, force: bool) -> None:
     """Torques against what the motion (T, K) asks for under each of the mistakes that no effect looks like."""
     body, dynamics = model.body, model.dynamics
     motions = smoothings(body, model.time.numpy(), angle, command)
@@ -84,14 +96,19 @@ def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.nd
     if own < MISSED:
         return
     encoders, joints = model.observation.encoders is not None, body.num_joints
-    known = [each for each in fixed(joints, encoders) if each.kind in SIGNS]
+    by_target = () if motion.terms is None else motion.terms.by_target
+    known = [each for each in fixed(joints, encoders, by_target) if each.kind in SIGNS]
     known += [zero(k, turn * math.pi / 2) for k in range(joints) for turn in (1, 2, -1) if encoders]
     best, mistake = min(((left_by(e, dynamics, body, motion), e) for e in known), key=lambda each: each[0])
-    if best > NEAR * own or best > MISSED:
+    righted = mistake.right(motion)
+    if best > NEAR * own or best > MISSED or righted is None:
+        return
+    if explain(dynamics, body, righted).missed(mistake.joints) > CLEAN:
         return
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
-    raise InputError(
+    refuse(
         f"{name}: at joint {names} {mistake.words}, it seems. As they are, the torques differ from those of the "
         f"motion by {100 * own:.0f} % of their size; corrected, by {100 * best:.0f} %. Correct the file; "
-        "`invdyn check` says more"
+        "`invdyn check` says more",
+        force,
     )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.budget import Budget
 from invdyn.diagnosis.kept_units import content_digest
-from invdyn.diagnosis.problem.conventions import check_conventions
+from invdyn.diagnosis.problem.conventions import check_conventions, refuse
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
@@ -153,14 +153,16 @@ class DiagnosisProblem:
 
 
 def diagnosis_problem(
-    recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False
+    recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False, force: bool = False
 ) -> DiagnosisProblem:
-    """Bind one or several recordings to ``body``.
+    """Bind one or several recordings to ``body``. Times are then counted from the first row, s.
+
+    By ``force`` signs, zeros and units of torques that are surely wrong are warned of and not refused.
 
     Raises InputError where they do not fit; NotEnoughData for too few rows, or tracks that leave a pose open.
     """
     given = [recording] if isinstance(recording, Recording) else recording
-    recording, begins = joined([part for each in given for part in looked_at(each)])
+    recording, begins = joined([part for each in given for part in looked_at(_from_zero(each))])
     regime = regime_of(recording.torques, passive)
     uncertain = uncertain_numbers(body)
     if not regime.knows_torque and (untracked := _untracked(recording, body)):
@@ -193,13 +195,18 @@ def diagnosis_problem(
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime.commanded:
-        _check_torques(recording.name, model, angle, velocity)
-    check_conventions(recording.name, model, problem.observations, angle)
+        _check_torques(recording.name, model, angle, velocity, force)
+    check_conventions(recording.name, model, problem.observations, angle, force)
     if starts:
         model = model.starting_anew(starts, angle[starts])
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model = model.in_substeps(sufficient_substeps(model, usual))
     return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
+
+
+def _from_zero(recording: Recording) -> Recording:
+    """The recording with its times from the first row on: of seconds since 1970 float32 has one in 128."""
+    return replace(recording, time=recording.time - recording.time[0])
 
 
 def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:
@@ -211,8 +218,8 @@ def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:
     return [name for name in body.keypoint_names if name not in tracked]
 
 
-def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor) -> None:
-    """Raise InputError for torques far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
+def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor, force: bool) -> None:
+    """Refuse torques far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
 
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
     """
@@ -224,9 +231,10 @@ def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor) 
     torque = answered(model.body, model.command, angle, velocity)
     given = torque.square().mean(0).sqrt().norm().item()
     if given > TOO_MUCH * needed:
-        raise InputError(
+        refuse(
             f"{name}: expected torques in N·m, some {needed:.2g} for body {model.body.name!r} and this motion, got "
-            f"{given:.2g} rms: check their unit, and the body's masses (kg) and lengths (m)"
+            f"{given:.2g} rms: check their unit, and the body's masses (kg) and lengths (m)",
+            force,
         )
 
 

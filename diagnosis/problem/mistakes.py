@@ -7,14 +7,19 @@ motion asks for (:mod:`.torque_regression`), and near it once it is put right:
     t' = t/1000;     θ' = θ π/180;     columns exchanged;
     τ' = N τ;     τ' = τ − b
 
-Several at once are found one after the other, those first that put most right.
+Several at once are found one after the other, those first that put most right. At the end each must have brought the
+torques of the joints that it accuses to what a log that is right leaves of them, in a unit that no remedy changes: what
+the motion asks of these joints. Else the last one is no mistake, and what comes before it is asked again.
+
+A remedy is of a column that the log has: of a servo's target where no torque was logged. One that a mapping has already
+is none. A joint that does not move is accused of nothing.
 
 Shapes: K joints.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -22,9 +27,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from invdyn.diagnosis.problem.robot_terms import servos
-from invdyn.diagnosis.problem.torque_regression import Motion, explain
+from invdyn.diagnosis.problem.robot_terms import RobotTerms, servos
+from invdyn.diagnosis.problem.torque_regression import Motion, explain, left_by_values, share
 from invdyn.models.dynamics.interface import Dynamics
+from invdyn.recordings.logs.mapping import SHIFTS
 from invdyn.recordings.units import TIMES, Units
 
 TIME_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -43,6 +49,13 @@ MANY = 3
 MISSED, BETTER, NEAR = 0.05, 0.55, 0.4
 """A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
 log which is right has, whatever its arm has besides."""
+CLEAN = 0.15
+"""Of the torques that a motion asks of joints, what is left of theirs once a mistake of theirs is put right: of 90 made
+logs, half of them of an arm that lacks something, no right remedy leaves more than .1."""
+STILL = 1e-6
+"""rad, or m, between which a joint that does not move stays."""
+SAME_GEAR = 0.05
+"""Of a gear, by which another one is taken for the same."""
 ALIKE = 1.15
 """Misfits nearer than that, or such as a right log may have, do not tell which mistake it is."""
 FITTED = ("zero", "scale", "offset")
@@ -55,12 +68,12 @@ class Mistake:
     """Something that is wrong with a log.
 
     Attributes:
-        kind: "torque sign", "direction", "angle sign", "zero", "degrees", "radians", "time", "exchanged", "scale" or
-            "offset".
+        kind: "torque sign", "direction", "angle sign", "zero", "degrees", "radians", "percent", "time", "exchanged",
+            "gear", "scale" or "offset".
         joints: which ones, by number; none for the whole log.
         words: what is wrong, after "at joint …" where there are joints.
         remedy: what to do about it.
-        value: the zero, rad; the factor that torques or times lack; the offset, N·m.
+        value: the zero, rad; the factor that torques, targets or times lack; the gear; the offset, N·m.
         right: the motion with it put right; None where that motion cannot have it.
         scales: of a unit, the factors of `angle`, `target` and `time` that a :class:`.Reading` is put right by.
     """
@@ -76,7 +89,11 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Found:
-    """A mistake, the misfits before and after it is put right, and others that would do it nearly as well."""
+    """A mistake, and others that would do it nearly as well.
+
+    `before` and `after` are what its joints' torques miss of what the motion asks of them, without and with the remedy,
+    of a body with the numbers that fit once all mistakes are put right.
+    """
 
     mistake: Mistake
     before: float
@@ -84,39 +101,54 @@ class Found:
     others: tuple[Mistake, ...] = ()
 
 
-def find(dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said: Units | None = None) -> list[Found]:
-    """Mistakes of a log, none where it is right; of angles and columns only where there are ``encoders``.
+def find(
+    dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said: Units | None = None
+) -> tuple[list[Found], bool]:
+    """Mistakes of a log, none where it is right; and whether one was dropped, as its remedy leaves too much.
 
-    ``said`` are its units, and where they stand.
+    Of angles and columns there are mistakes only where there are ``encoders``; ``said`` are the log's units, and where
+    they stand.
     """
     found: list[Found] = []
+    states, lefts = [motion], [explain(dynamics, body, motion)]
     while len(found) < MANY:
-        own = explain(dynamics, body, motion).misfit
+        own = lefts[-1].misfit
         if not own > MISSED:
             break
-        tried = sorted(_tried(dynamics, body, motion, encoders, said), key=lambda each: each[0])
+        tried = sorted(_tried(dynamics, body, states[-1], encoders, said), key=lambda each: each[0])
         worth = [(misfit, mistake) for misfit, mistake in tried if misfit < BETTER * own and misfit < NEAR]
         if not worth:
             break
         alike = [(misfit, mistake) for misfit, mistake in worth if misfit < max(ALIKE * worth[0][0], MISSED)]
-        after, best = min(alike, key=lambda each: each[1].kind in FITTED)
+        _, best = min(alike, key=lambda each: each[1].kind in FITTED)
         others = tuple(mistake for _, mistake in alike if mistake.kind != best.kind)
-        found.append(Found(best, own, after, others))
-        motion = best.right(motion) or motion
-    return found
+        found.append(Found(best, math.nan, math.nan, others))
+        states.append(best.right(states[-1]) or states[-1])
+        lefts.append(explain(dynamics, body, states[-1]))
+    tried_out = len(found)
+    while found and any(lefts[len(found)].missed(each.mistake.joints) > CLEAN for each in found):
+        found.pop()
+    right = lefts[len(found)]
+    left = [left_by_values(dynamics, body, each, right.values) for each in states[: len(found) + 1]]
+    shares = [[share(each, right.asked, own.mistake.joints) for each in left] for own in found]
+    numbered = enumerate(zip(found, shares, strict=True))
+    stated = [replace(each, before=of[n], after=of[n + 1]) for n, (each, of) in numbered]
+    return stated, len(stated) < tried_out
 
 
-def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
-    """Those without a number that is looked for."""
+def fixed(joints: int, encoders: bool, by_target: Sequence[bool] = ()) -> Iterator[Mistake]:
+    """Those without a number that is looked for; ``by_target`` are joints whose log has a servo's target, no torque."""
+    servo = np.array(by_target or [False] * joints)
     for group in _groups(joints):
-        turn = "change the sign of its torques"
+        commands = _commands(servo[list(group)])
+        turn = f"change the sign of its {commands}"
         yield Mistake(
-            "torque sign", group, "the torques have the other sign", turn, -1.0, _mirrored(group, torque=True)
+            "torque sign", group, f"the {commands} have the other sign", turn, -1.0, _mirrored(group, torque=True)
         )
         if encoders:
-            words, turn = "angles and torques are counted the other way (clockwise)", "change the signs of both"
+            words, turn = f"angles and {commands} are counted the other way (clockwise)", "change the signs of both"
             yield Mistake("direction", group, words, turn, -1.0, _mirrored(group, angle=True, torque=True))
-            words = "the angles are counted the other way (clockwise), the torques are not"
+            words = f"the angles are counted the other way (clockwise), the {commands} are not"
             yield Mistake(
                 "angle sign", group, words, "change the sign of its angles", -1.0, _mirrored(group, angle=True)
             )
@@ -125,9 +157,15 @@ def fixed(joints: int, encoders: bool) -> Iterator[Mistake]:
     for one, other in combinations(range(joints), 2):
         order, plain = list(range(joints)), list(range(joints))
         order[one], order[other] = other, one
-        for angles, torques, what in ((order, order, "columns"), (order, plain, "angles"), (plain, order, "torques")):
+        commands = _commands(servo[[one, other]])
+        for angles, torques, what in ((order, order, "columns"), (order, plain, "angles"), (plain, order, commands)):
             words, turn = f"the {what} are exchanged", f"exchange the two joints' {what}"
             yield Mistake("exchanged", (one, other), words, turn, 0.0, _picked(angles, torques))
+
+
+def _commands(by_target: np.ndarray) -> str:
+    """What the log has of some joints."""
+    return "servos' targets" if by_target.all() else "torques and servos' targets" if by_target.any() else "torques"
 
 
 def _groups(joints: int) -> list[tuple[int, ...]]:
@@ -135,18 +173,26 @@ def _groups(joints: int) -> list[tuple[int, ...]]:
     return [(k,) for k in range(joints)] + ([tuple(range(joints))] if joints > 1 else [])
 
 
-def units(said: Units | None = None, targets: bool = False) -> Iterator[Mistake]:
+def units(
+    said: Units | None = None, targets: bool = False, stated: Mapping[str, Collection[str | None]] | None = None
+) -> Iterator[Mistake]:
     """Of angles and times, in which :mod:`invdyn.recordings.plausible` may already have seen something wrong.
 
     Args:
         said: what was declared, and where: there it is put right.
         targets: there are servos' targets, which may be in another unit, too.
+        stated: of a mapping, the units of its lines of an angle and of a target, None where a line says none: what
+            stands there already is no remedy.
     """
     said = said or Units()
+    stated = stated or {track: {said.angle} for track in ("angle", "target")}
     ways = (("degrees", "deg", "in degrees", math.pi / 180), ("radians", "rad", "in radians already", 180 / math.pi))
     for tracks in (("angle",), ("angle", "target"), ("target",))[: 1 + 2 * targets]:
         what = " and ".join({"angle": "the angles", "target": "the servos' targets"}[track] for track in tracks)
+        own = {unit for track in tracks for unit in stated[track] if unit not in SHIFTS}
         for kind, unit, words, factor in ways:
+            if not own <= ({None, "rad"} if unit == "deg" else {"deg"}):
+                continue
             scales = dict.fromkeys(tracks, factor)
             yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, _in_unit(**scales), scales)
     for unit, name in TIME_UNITS.items():
@@ -155,6 +201,25 @@ def units(said: Units | None = None, targets: bool = False) -> Iterator[Mistake]
         factor = TIMES[unit] / TIMES.get(said.time or "s", 1.0)
         right, scales = _scaled(time=factor), {"time": factor}
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
+
+
+def gears(terms: RobotTerms, place: str) -> Iterator[Mistake]:
+    """Targets of servos that are counted where the actuator is, as MuJoCo's ctrl, or at the joint, and not as said.
+
+    ``place`` is the mapping that says it.
+    """
+    said, filed, joints = terms.target.gear, terms.gears, len(terms.gears)
+    for at, gear in (("the actuator, gear times the joint's (MuJoCo's ctrl)", filed), ("the joint", np.ones(joints))):
+        wrong = [k for k in range(joints) if terms.by_target[k] and abs(gear[k] - said[k]) > SAME_GEAR * abs(gear[k])]
+        for group in dict.fromkeys([tuple(wrong), *((k,) for k in wrong)]):
+            if not group:
+                continue
+            numbers = " and ".join(f"gear = {gear[k]:g}" for k in group)
+            turn = f'write {numbers} in the line "target = …" of each, in {place}'
+            factor = np.ones(joints)
+            factor[list(group)] = (said / gear)[list(group)]
+            words, right = f"the servos' targets are counted at {at}", _retargeted(factor)
+            yield Mistake("gear", group, words, turn, float(gear[group[0]]), right)
 
 
 def left_by(mistake: Mistake, dynamics: Dynamics, body: Any, motion: Motion) -> float:
@@ -167,21 +232,34 @@ def _tried(
     dynamics: Dynamics, body: Any, motion: Motion, encoders: bool, said: Units | None
 ) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
-    joints = motion.q.shape[1]
+    joints, terms = motion.q.shape[1], motion.terms
+    moving = np.ptp(motion.q, axis=0) > STILL
+    by_target = (False,) * joints if terms is None else terms.by_target
 
     def fit(mistake: Mistake) -> float:
         return left_by(mistake, dynamics, body, motion)
 
-    targets = motion.terms is not None and motion.terms.has_targets
-    for mistake in (*fixed(joints, encoders), *(units(said, targets) if encoders else ())):
-        yield fit(mistake), mistake
-    for k in range(joints if encoders else 0):
-        sign = 1.0 if motion.terms is None else float(motion.terms.sign[k])
+    def known() -> Iterator[Mistake]:
+        yield from fixed(joints, encoders, by_target)
+        stated = None if terms is None or said is None or said.mapping is None else terms.stated
+        yield from units(said, any(by_target), stated) if encoders else ()
+        if terms is not None and said is not None and said.mapping is not None:
+            yield from gears(terms, said.mapping)
+
+    if not moving.any():
+        return
+    for mistake in known():
+        if moving[list(mistake.joints)].all():
+            yield fit(mistake), mistake
+    for k in np.flatnonzero(moving) if encoders else ():
+        sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
-        yield from _searched(partial(zero, k, sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
+        yield from _searched(partial(zero, int(k), sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
     for group in _groups(joints):
-        yield from _searched(partial(_scale, group, joints), fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
-    for k in range(joints):
+        if moving[list(group)].all() and len({by_target[k] for k in group}) == 1:
+            made = partial(_scale, group, joints, by_target[group[0]])
+            yield from _searched(made, fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
+    for k in np.flatnonzero(moving).tolist():
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
         if abs(offset) > SMALL_OFFSET * np.sqrt((motion.torque[:, k] ** 2).mean()):
@@ -221,15 +299,24 @@ def zero(joint: int, off: float, sign: float = 1.0, where: str = "its angles") -
     return Mistake("zero", (joint,), words, turn, told, lambda motion: motion.turned(joint, off))
 
 
-def _scale(group: tuple[int, ...], joints: int, log: float) -> Mistake:
+def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> Mistake:
     factor = math.exp(log)
     given = np.ones(joints)
     given[list(group)] = factor
+    commands = "servos' targets" if by_target else "torques"
     if factor > 1:
-        words = f"the torques are {factor:.3g} times too small: before the gear, or in another unit"
+        before = "behind" if by_target else "before"
+        words = f"the {commands} are {factor:.3g} times too small: {before} the gear, or in another unit"
     else:
-        words = f"the torques are {1 / factor:.3g} times too large: in another unit"
-    return Mistake("scale", group, words, f"multiply its torques by {factor:.3g}", factor, _scaled(torque=given))
+        words = f"the {commands} are {1 / factor:.3g} times too large: in another unit"
+        words += ", or before the gear" if by_target else ""
+    turn = f"multiply its {'targets' if by_target else 'torques'} by {factor:.3g}"
+
+    def right(motion: Motion) -> Motion:
+        terms = None if motion.terms is None else replace(motion.terms, told=motion.terms.told * given)
+        return replace(motion, torque=motion.torque * given, terms=terms)
+
+    return Mistake("scale", group, words, turn, factor, _retargeted(given) if by_target else right)
 
 
 def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
@@ -248,13 +335,18 @@ def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
         turn += f", or {-off:.3g} rad from its angles" if servo.kind == "position" else ""
 
     def right(motion: Motion) -> Motion:
-        return Motion(motion.q, motion.qd, motion.qdd, motion.torque - constant)
+        terms = None if motion.terms is None else replace(motion.terms, told=motion.terms.told - constant)
+        return replace(motion, torque=motion.torque - constant, terms=terms)
 
     return Mistake("offset", (joint,), words, turn, offset, right)
 
 
 def _in_unit(angle: float = 1.0, target: float = 1.0) -> Callable[[Motion], Motion | None]:
     return lambda motion: motion.in_unit(angle, target)
+
+
+def _retargeted(factor: np.ndarray) -> Callable[[Motion], Motion | None]:
+    return lambda motion: motion.retargeted(factor)
 
 
 def _scaled(**by: Any) -> Callable[[Motion], Motion]:

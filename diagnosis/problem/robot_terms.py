@@ -2,7 +2,7 @@
 
 A log's number v becomes an angle, a torque or a target by the joint's line of the mapping and by the robot's own file,
 
-    value = zero + factor · v,     zero = zero_file + sign_file · zero_map,     factor = sign_file · factor_map
+    value = zero + factor · (v − origin),    zero = zero_file + sign_file · zero_map,    factor = sign_file · factor_map
 
 A servo at joint k makes K c + u₀ − S θ − D θ̇ of its target c. Of columns that were exchanged the numbers v were; zeros,
 factors and servos stay with their joints. A sign that is wrong turns a value about its zero.
@@ -12,6 +12,7 @@ Shapes: R rows, K joints. Units: rad, s, N·m.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,24 @@ from invdyn.recordings.logs.mapping import JointMap, Source
 
 @dataclass(frozen=True)
 class Counted:
-    """How a quantity of each joint is counted, (K,): 0 and 1 in a table without a mapping."""
+    """How a quantity of each joint is counted, (K,): zeros and ones in a table without a mapping.
+
+    `gear` is the mapping's, and `unit` the ones that it says, None where it says none.
+    """
 
     zero: np.ndarray
     factor: np.ndarray
+    origin: np.ndarray
+    gear: np.ndarray
+    unit: tuple[str | None, ...]
+
+    def raw(self, values: np.ndarray) -> np.ndarray:
+        """Numbers (R, K) as the log has them."""
+        return (values - self.zero) / self.factor + self.origin
+
+    def of(self, raw: np.ndarray) -> np.ndarray:
+        """Values (R, K) of the log's numbers."""
+        return self.zero + self.factor * (raw - self.origin)
 
 
 @dataclass(frozen=True)
@@ -56,7 +71,8 @@ class RobotTerms:
         def counted(sources: Sequence[Source | None], zero: np.ndarray) -> Counted:
             known = [source or Source("") for source in sources]
             offset, factor = np.array([s.offset for s in known]), np.array([s.factor or 1.0 for s in known])
-            return Counted(zero + sign * offset, sign * factor)
+            origin, gear = np.array([s.origin for s in known]), np.array([s.gear for s in known])
+            return Counted(zero + sign * offset, sign * factor, origin, gear, tuple(s.unit for s in known))
 
         turned = np.array([motor is not None and motor.kind == "position" for motor in servos(body, K)])
         return cls(
@@ -75,22 +91,20 @@ class RobotTerms:
 
     def angles(self, values: np.ndarray, order: Sequence[int], zeros: bool = False) -> np.ndarray:
         """Columns (R, K) of angles, with ``zeros``, or of their derivatives, in another order of the log's own."""
-        zero = self.angle.zero if zeros else np.zeros_like(self.angle.zero)
-        return zero + self.angle.factor * ((values - zero) / self.angle.factor)[:, list(order)]
+        counted, nothing = self.angle, np.zeros_like(self.angle.zero)
+        if not zeros:
+            counted = replace(counted, zero=nothing, origin=nothing)
+        return counted.of(counted.raw(values)[:, list(order)])
 
     def commanding(self, order: Sequence[int]) -> "RobotTerms | None":
         """The terms with the log's commands in another order; None where one is a target and the other a torque."""
         motors = servos(self.body, self.told.shape[1])
         if any((motors[k] is None) != (motors[j] is None) for k, j in enumerate(order)):
             return None
+        targets = np.array([motor is not None for motor in motors])
         own = self._commands()
-        how = [self.effort if motor is None else self.target for motor in motors]
-        for k, counted in enumerate(how):
-            own[:, k] = (own[:, k] - counted.zero[k]) / counted.factor[k]
-        own = own[:, list(order)]
-        for k, counted in enumerate(how):
-            own[:, k] = counted.zero[k] + counted.factor[k] * own[:, k]
-        return self._commanded(own)
+        raw = np.where(targets, self.target.raw(own), self.effort.raw(own))[:, list(order)]
+        return self._commanded(np.where(targets, self.target.of(raw), self.effort.of(raw)))
 
     def mirrored(self, joints: Sequence[int]) -> "RobotTerms":
         """The terms with the commands of some joints turned about their zeros."""
@@ -100,18 +114,39 @@ class RobotTerms:
                 own[:, k] = 2 * (self.effort if motor is None else self.target).zero[k] - own[:, k]
         return self._commanded(own)
 
+    def turned(self, shift: np.ndarray) -> "RobotTerms":
+        """The terms with angles counted from elsewhere, less ``shift`` (K,) rad, and targets so that no torque changes.
+
+        A servo that answers with −S θ then makes that of its target less S times the shift.
+        """
+        stiffness = np.array([0.0 if motor is None else motor.stiffness for motor in servos(self.body, len(self.sign))])
+        angle = replace(self.angle, zero=self.angle.zero - shift)
+        return replace(self, told=self.told - stiffness * shift, angle=angle)
+
     @property
     def has_targets(self) -> bool:
         """Whether there are servos."""
-        return any(servos(self.body, self.told.shape[1]))
+        return any(self.by_target)
 
-    def retargeted(self, factor: float) -> "RobotTerms":
-        """The terms with servos' targets so many times as large, about their zeros."""
-        own = self._commands()
-        for k, motor in enumerate(servos(self.body, own.shape[1])):
-            if motor is not None:
-                own[:, k] = self.target.zero[k] + factor * (own[:, k] - self.target.zero[k])
-        return self._commanded(own)
+    @property
+    def by_target(self) -> tuple[bool, ...]:
+        """Whether each joint's log has a servo's target, and no torque."""
+        return tuple(motor is not None for motor in servos(self.body, self.told.shape[1]))
+
+    @property
+    def stated(self) -> dict[str, set[str | None]]:
+        """Units that a mapping's lines of angles and of targets say, None where one says none."""
+        return {"angle": set(self.angle.unit), "target": set(compress(self.target.unit, self.by_target))}
+
+    @property
+    def gears(self) -> np.ndarray:
+        """How far the file's own actuator of each servo turns for a radian of its joint, (K,): 1 at other joints."""
+        return np.array([1.0 if motor is None else motor.gear for motor in servos(self.body, self.told.shape[1])])
+
+    def retargeted(self, factor: float | np.ndarray) -> "RobotTerms":
+        """The terms with servos' targets so many times as large, (K,) or one for all, about their zeros."""
+        own, targets = self._commands(), np.array([motor is not None for motor in servos(self.body, len(self.sign))])
+        return self._commanded(np.where(targets, self.target.zero + factor * (own - self.target.zero), own))
 
     def _commands(self) -> np.ndarray:
         """Torques, and targets in the body's own counting where there are servos, (R, K)."""

@@ -60,7 +60,8 @@ def left_out(recordings: Sequence[Recording]) -> str | None:
 def _where(recording: Recording, parts: Sequence[Recording]) -> str:
     """A sentence about the stretches of a recording."""
     whole, some = (sum(each.time[-1] - each.time[0] for each in of) for of in ([recording], parts))
-    spans = ", ".join(f"{part.time[0]:.4g}–{part.time[-1]:.4g}" for part in parts)
+    begin = recording.time[0]
+    spans = ", ".join(f"{part.time[0] - begin:.4g}–{part.time[-1] - begin:.4g}" for part in parts)
     return (
         f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} s that tell most were looked at, {spans} s, "
         "one after the other"

@@ -38,7 +38,7 @@ WEIGHT = 1e-3
 SLOW = 0.1
 """v, in rms velocities: slower than that dry friction has no sign to go by."""
 QUIET = 0.1
-"""Of the largest joint's torque, that any joint's is taken to be at least."""
+"""Of the largest torque that the motion asks of a joint, that any joint's is taken to be at least."""
 
 
 @dataclass(frozen=True)
@@ -87,19 +87,45 @@ class Motion:
         return Motion(q, qd, qdd, terms.torque(q, qd), terms)
 
     def turned(self, joint: int, zero: float) -> "Motion":
-        """A joint's angle counted from elsewhere: less ``zero`` rad."""
+        """A joint's angle counted from elsewhere: less ``zero`` rad, which a servo's torque does not follow."""
         shift = np.zeros(self.q.shape[1])
         shift[joint] = zero
-        return replace(self, q=self.q - shift, terms=None)
+        return replace(self, q=self.q - shift, terms=None if self.terms is None else self.terms.turned(shift))
+
+    def retargeted(self, factor: np.ndarray) -> "Motion | None":
+        """Servos' targets times factors (K,), about their zeros; None where no target is known."""
+        if self.terms is None:
+            return None
+        terms = self.terms.retargeted(factor)
+        return replace(self, torque=terms.torque(self.q, self.qd), terms=terms)
 
 
 @dataclass(frozen=True)
 class Explained:
-    """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order."""
+    """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order.
+
+    `left` (K,) N·m is the rms of what is not explained, `asked` (K,) N·m of what is; `penalty` is λ Σ (β/sd)².
+    """
 
     misfit: float
     by_joint: np.ndarray
     values: np.ndarray
+    left: np.ndarray
+    asked: np.ndarray
+    penalty: float
+
+    def missed(self, joints: Sequence[int]) -> float:
+        """The misfit of these joints, all if none, in terms of what is asked of them.
+
+        No remedy that makes torques small, or another joint's large, makes that better.
+        """
+        return float(np.hypot(share(self.left, self.asked, joints), np.sqrt(self.penalty)))
+
+
+def share(left: np.ndarray, asked: np.ndarray, joints: Sequence[int]) -> float:
+    """Of what is ``asked`` (K,) of some joints, all if none, what is ``left`` (K,)."""
+    of = list(joints) or slice(None)
+    return float(np.linalg.norm(left[of]) / max(np.linalg.norm(asked[of]), 1e-300))
 
 
 def smoothings(
@@ -215,11 +241,19 @@ def nominal_link_numbers(body: Any) -> list[np.ndarray]:
     return [torch.stack(quantity, -1).numpy() for quantity in zip(*own, strict=True)]
 
 
+def left_by_values(dynamics: Dynamics, body: Any, motion: Motion, values: np.ndarray) -> np.ndarray:
+    """Rms (K,) N·m of what a motion's torques miss, with coefficients (P,) that :func:`explain` found in another."""
+    asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
+    regressors = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)])
+    left = motion.torque - asked - np.tensordot(values, regressors, 1)
+    return np.asarray(np.sqrt((left**2).mean(0)))
+
+
 def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
     """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
     asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
-    size = np.sqrt((motion.torque**2).mean(0))
-    unit = np.maximum(np.maximum(size, QUIET * size.max()), 1e-12)
+    size, needed = (np.sqrt((each**2).mean(0)) for each in (motion.torque, asked))
+    unit = np.maximum(np.maximum(size, QUIET * needed.max()), 1e-12)
     quantities = nominal_link_numbers(body)
     own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
     joints = joint_regressors(motion)
@@ -238,9 +272,14 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(WEIGHT) * np.eye(len(sd))]))
     target = q.T @ np.concatenate([left, np.zeros(len(sd))])
     scaled = _bounded(r, target, lower, upper, len(own))
-    missed = ((left - rows @ scaled) ** 2).reshape(motion.torque.shape).sum(0)
-    total = missed.sum() + WEIGHT * (scaled**2).sum()
-    return Explained(float(np.sqrt(total)), np.sqrt(missed * len(unit)), scaled * sd)
+    off = (left - rows @ scaled).reshape(motion.torque.shape)
+    missed = (off**2).sum(0)
+    penalty = WEIGHT * float((scaled**2).sum())
+    total = missed.sum() + penalty
+    by_joint = np.sqrt(missed * len(unit))
+    explained = motion.torque - off * unit * np.sqrt(motion.torque.size)
+    asked_of = np.sqrt((explained**2).mean(0))
+    return Explained(float(np.sqrt(total)), by_joint, scaled * sd, by_joint * unit, asked_of, penalty)
 
 
 def _bounded(r: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray, first: int) -> np.ndarray:

@@ -27,6 +27,7 @@ class Motor:
     """A motor. `kind` says what it is told: "torque" N·m, "position" rad or "velocity" rad/s.
 
     `gain` K, `stiffness` S and `damping` D are a servo's, N·m a unit; `bias` u₀, and the limits `low`, `high`, N·m.
+    `gear` is how far the file's own actuator turns for a radian of the joint; all else is stated at the joint.
     Raises `BodyError` for an unknown kind, a low limit that is not below the high one, and what is no number.
     """
 
@@ -37,12 +38,15 @@ class Motor:
     bias: float = 0.0
     low: float = -math.inf
     high: float = math.inf
+    gear: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise BodyError(f"expected a motor of the kind {', '.join(KINDS)}, got {self.kind!r:.60}")
-        for key in ("gain", "stiffness", "damping", "bias"):
+        for key in ("gain", "stiffness", "damping", "bias", "gear"):
             object.__setattr__(self, key, number(getattr(self, key), f"a motor's {key}"))
+        if not self.gear:
+            raise BodyError("expected a motor's gear other than 0, got 0: leave it out for a motor at its joint")
         if not (isinstance(self.low, int | float) and isinstance(self.high, int | float) and self.low < self.high):
             raise BodyError(
                 f"expected a motor's limits as numbers, low < high, got {self.low!r:.60} and {self.high!r:.60}"

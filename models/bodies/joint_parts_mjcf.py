@@ -87,6 +87,7 @@ def _motor(mujoco: Any, model: Any, a: int, joint: int) -> Motor | None:
         0.0 if kind == "torque" else constant * gear,
         float(low),
         float(high),
+        gear,
     )
 
 

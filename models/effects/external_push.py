@@ -34,7 +34,7 @@ class ExternalPush(Effect):
         """Impulse, N·s, its middle and its duration, s."""
         force = 3.0 * scale.torque[0] / scale.body.length[: self.place[0] + 1].sum().item()
         impulse = Normal(0.0, TYPICAL * force)
-        moment = Uniform(scale.time[0].item(), scale.time[-1].item())
+        moment = Uniform(scale.time[0].double(), scale.time[-1].double())
         return (
             Parameter("impulse_x", "N·s", impulse),
             Parameter("impulse_y", "N·s", impulse),

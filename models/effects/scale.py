@@ -19,6 +19,9 @@ from torch import Tensor
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.dynamics.interface import Dynamics
 
+NEGLIGIBLE = 1e-9
+"""Of the typical torque: a smaller command is none, and rounds to 0 in float32."""
+
 
 def typical_torque(dynamics: Dynamics, body: Any) -> Tensor:
     """Torques (K,) that a body needs, N·m; see the top of the file."""
@@ -71,7 +74,7 @@ class Scale:
         torque = typical_torque(self.dynamics, self.body)
         if self.command is not None and not bool(self.body.gravity.any()):
             given = 2 * self.command.square().mean(0).sqrt().to(torque)
-            torque = torch.where(given > 0, given, torque)
+            torque = torch.where(given > NEGLIGIBLE * torque, given, torque)
         return torque.tolist()
 
     @cached_property
@@ -99,8 +102,8 @@ class Scale:
 
     @cached_property
     def effort(self) -> list[float]:
-        """Largest absolute command of each joint, N·m; the typical torque where there is none."""
+        """Largest absolute command of each joint, N·m; the typical torque where there is none to speak of."""
         if self.command is None:
             return self.torque
-        largest = self.command.abs().amax(0)
-        return torch.where(largest > 0, largest, torch.as_tensor(self.torque, dtype=largest.dtype)).tolist()
+        largest, typical = self.command.abs().amax(0), torch.tensor(self.torque, dtype=torch.float64)
+        return torch.where(largest > NEGLIGIBLE * typical, largest.double(), typical).tolist()

@@ -5,9 +5,18 @@
     [joints.elbow]
     angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit; m of a slide
     torque = {track = "i2", gear = 50, constant = 0.12, sign = -1}   # N·m = sign · gear · constant · value
-    target = {track = "action.2", unit = "deg"}                      # of a servo: an angle, or a velocity
+    target = {track = "action.2", unit = "deg", gear = 3}            # of a servo: an angle, or a velocity
+    [joints.hand]
+    angle  = {track = "h", range = [0, 0.8], ends = [0, 100]}        # rad where the log has 0, and where it has 100
 
-Angles, torques and targets are those of the robot's own file, as it counts them. Without a mapping, tracks that are
+Angles, torques and targets are those of the robot's own file, as it counts them. A gear turns what the motor has into
+what the joint has: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). A `range` [a, b] is of
+numbers that say how far a joint is in its own, by `ends` [c, d] of −100 and 100 unless said, as LeRobot has them:
+
+    rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
+
+As a `range` the name of LeRobot's calibration stands for the range that it has for the track's motor, about its middle
+(:mod:`.lerobot_calibration`). Without a mapping, tracks that are
 called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken for what their names say.
 """
 
@@ -22,33 +31,42 @@ import numpy as np
 from ..errors import InputError, about
 from ..toml_tables import read_toml
 from ..units import METRES, RADIANS, TIMES, Units
+from .lerobot_calibration import calibrated_range
 from .tracks import Episode, Track, track
 
+ENDS = (-100.0, 100.0)
+"""Numbers that a log has at the ends of a joint's range."""
 ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
 SHIFTS = {**METRES, "m/s": 1.0, "cm/s": METRES["cm"], "mm/s": METRES["mm"]}
 TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.0980665, "A": 1.0, "mA": 1e-3}
 KEYS = {
-    "angle": ("track", "unit", "sign", "zero"),
-    "target": ("track", "unit", "sign", "zero"),
+    "angle": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
+    "target": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
     "torque": ("track", "unit", "sign", "gear", "constant", "offset"),
 }
 
 
 @dataclass(frozen=True)
 class Source:
-    """A track and what makes SI units of its values: value · factor + offset; and the unit that was said, if any."""
+    """A track and what makes SI units of its values: (value − origin) · factor + offset.
+
+    `unit` is the one that was said, if any. `gear` is part of the factor already, and `ranged` says whether a range is.
+    """
 
     track: str
     factor: float = 1.0
     offset: float = 0.0
     unit: str | None = None
+    origin: float = 0.0
+    gear: float = 1.0
+    ranged: bool = False
 
     def of(self, episode: Episode, where: str) -> Track:
         """The track in SI units. Raises InputError where the log has none of that name, or without times."""
         found = track(episode, self.track, where)
         if not len(found.time):
             raise InputError(f"{where}: no row of track {self.track!r} has a time")
-        return Track(found.time, found.values * self.factor + self.offset)
+        return Track(found.time, (found.values - self.origin) * self.factor + self.offset)
 
     def times(self, factor: float) -> "Source":
         """The source in another unit: values ``factor`` times as large, about the same zero."""
@@ -108,12 +126,12 @@ class LogMap:
     def load(cls, path: str | Path) -> "LogMap":
         """Read a mapping. Raises InputError for what is none, OSError where it cannot be read."""
         with about(path):
-            found = cls.of(read_toml(path, "a mapping"))
+            found = cls.of(read_toml(path, "a mapping"), Path(path).parent)
         return replace(found, units=replace(found.units, mapping=str(path)))
 
     @classmethod
-    def of(cls, tables: dict[str, Any]) -> "LogMap":
-        """The mapping of such a file's tables. Raises InputError."""
+    def of(cls, tables: dict[str, Any], folder: Path = Path()) -> "LogMap":
+        """The mapping of such a file's tables, which names other files as from its ``folder``. Raises InputError."""
         _known(tables, ("time", "time_unit", "joints"), "a mapping")
         unit = tables.get("time_unit", "s")
         if not isinstance(unit, str) or unit not in TIMES:
@@ -128,10 +146,12 @@ class LogMap:
             if not isinstance(table, dict):
                 raise InputError(f"joints.{name}: expected a table with {', '.join(KEYS)}")
             _known(table, tuple(KEYS), f"joints.{name}")
-            found[name] = JointMap(**{kind: _source(table[kind], kind, f"joints.{name}.{kind}") for kind in table})
+            found[name] = JointMap(
+                **{kind: _source(table[kind], kind, f"joints.{name}.{kind}", folder) for kind in table}
+            )
         angles = [table["angle"] for table in joints.values() if "angle" in table]
         own = cls(found, time, TIMES[unit])
-        every = all(isinstance(each, dict) and "unit" in each for each in angles)
+        every = all(isinstance(each, dict) and ("unit" in each or "range" in each) for each in angles)
         said = {"angle": "rad" if every else None, "time": unit if "time_unit" in tables else None}
         return replace(own, units=replace(own.units, **said))
 
@@ -153,25 +173,69 @@ class LogMap:
         return cls(found)
 
 
-def _source(given: Any, kind: str, where: str) -> Source:
+def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
     table = {"track": given} if isinstance(given, str) else given
     if not isinstance(table, dict) or not isinstance(table.get("track"), str):
         raise InputError(f'{where}: expected {{track = "NAME", …}}, got {given!r:.60}')
     _known(table, KEYS[kind], where)
+
     numbers = {key: table[key] for key in ("sign", "zero", "gear", "constant", "offset") if key in table}
     for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        if not _is_number(value):
             raise InputError(f"{where}: expected {key} as a number, got {value!r:.40}")
     if numbers.get("sign", 1) not in (1, -1):
         raise InputError(f"{where}: expected sign as 1 or -1, got {numbers['sign']:g}")
+
+    gear = float(numbers.get("gear", 1.0))
+    if gear == 0:
+        raise InputError(f"{where}: expected a gear other than 0: leave it out for a motor at its joint")
     units = TORQUES if kind == "torque" else {**ANGLES, **SHIFTS}
     unit = table.get("unit", "N·m" if kind == "torque" else "rad")
     if not isinstance(unit, str) or unit not in units:
         raise InputError(f"{where}: unit: expected one of {', '.join(units)}, got {unit!r:.40}")
-    factor = units[unit] * numbers.get("sign", 1) * numbers.get("gear", 1.0) * numbers.get("constant", 1.0)
-    return Source(
-        table["track"], float(factor), float(numbers.get("zero", numbers.get("offset", 0.0))), table.get("unit")
-    )
+
+    slope, origin = _of_range(table, where, folder)
+    factor = units[unit] * numbers.get("sign", 1) * numbers.get("constant", 1.0) * slope
+    factor = factor * gear if kind == "torque" else factor / gear
+    if not np.isfinite([factor, origin]).all():
+        raise InputError(f"{where}: expected numbers of a usual size, got a factor of {factor:g}")
+    zero = float(numbers.get("zero", numbers.get("offset", 0.0)))
+    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, "range" in table)
+
+
+def _of_range(table: dict[str, Any], where: str, folder: Path) -> tuple[float, float]:
+    """By how much a value of 1 moves a joint in its range, in the range's unit, and the value at which that is 0."""
+    if "range" not in table:
+        if "ends" in table:
+            raise InputError(f"{where}: ends are of a range: write range = [low, high], too")
+        return 1.0, 0.0
+    given = table["range"]
+    if isinstance(given, str):
+        if table.get("unit", "rad") != "rad":
+            raise InputError(f"{where}: a calibration's range is in rad, got unit {table['unit']!r}: leave unit out")
+        given = calibrated_range(folder / given, table["track"], where)
+    (low, high), (first, last) = _pair(given, f"{where}: range"), _pair(table.get("ends", ENDS), f"{where}: ends")
+    slope = (high - low) / (last - first)
+    if slope == 0:
+        raise InputError(f"{where}: expected a range of a usual size, got {given!r:.60}")
+    return slope, first - low / slope
+
+
+def _pair(given: Any, where: str) -> tuple[float, float]:
+    """Two numbers that differ. Raises InputError."""
+    if (
+        not isinstance(given, list | tuple)
+        or len(given) != 2
+        or not all(map(_is_number, given))
+        or given[0] == given[1]
+    ):
+        raise InputError(f"{where}: expected two numbers that differ, such as [-1.9, 1.7], got {given!r:.60}")
+    return float(given[0]), float(given[1])
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of a TOML file is a finite number."""
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) <= sys.float_info.max
 
 
 def _known(table: dict[str, Any], keys: Sequence[str], where: str) -> None:

@@ -35,6 +35,14 @@ def test_exchanged_names_are_refused_whether_lengths_are_guessed_or_not(film):
             check_fits(exchanged, ARM, Units(), guessed)
 
 
+def test_the_order_of_columns_does_not_matter(film):
+    """A recording that is built in Python may name its keypoints from the hand on."""
+    other = replace(film, keypoints=film.keypoints[:, ::-1], keypoint_names=film.keypoint_names[::-1])
+    check_fits(other, ARM, Units())
+    with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
+        check_fits(replace(other, keypoints=film.keypoints), ARM, Units())
+
+
 def test_the_same_in_space():
     body = load_body("paper_spatial_arm")
     time = np.arange(0, 3, 0.02)

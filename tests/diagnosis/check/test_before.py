@@ -15,6 +15,7 @@ from invdyn.cli import app
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.check.check import Check, Wrong
 from invdyn.diagnosis.check.units import wrong_units
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.recordings import InputError, write_keypoint_csv
 from invdyn.recordings.reading import Reading
 
@@ -176,3 +177,30 @@ def test_units_are_asked_for_once_and_by_one_function(tmp_path, monkeypatch, com
         assert "far enough" in stopped.output
         assert asked == ["log", "other"]
         assert begun == [True]
+
+
+def test_what_is_refused_is_printed_and_passed_by_force(log):
+    """The option, and the same in Python; what is said is what would have been refused."""
+    wrong = replace(log, torques=log.torques * [1, -1])
+    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* Refused but for --force"):
+        check_before(Reading(wrong), ARM, force=True)
+    with pytest.warns(UserWarning, match="are in degrees, it seems.* Refused but for --force"):
+        check_before(Reading(replace(log, angles=np.degrees(log.angles))), ARM, force=True)
+    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* Refused but for --force"):
+        diagnosis_problem(wrong, ARM, force=True)
+
+
+def test_the_option_goes_past_a_refusal(tmp_path, log, monkeypatch):
+    def begins(*_, **given):
+        raise InputError(f"begun by force: {given['force']}")
+
+    monkeypatch.setattr(importlib.import_module("invdyn.diagnosis.diagnose"), "diagnose", begins)
+    ARM.to_toml(tmp_path / "arm.toml")
+    write_keypoint_csv(replace(log, angles=log.angles[:, ::-1]), tmp_path / "log.csv")
+    assert "begun" not in diagnosed(tmp_path, "log.csv").output
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")  # the command prints them
+        passed = diagnosed(tmp_path, "log.csv", "--force").output
+    assert "the angles are exchanged" in passed
+    assert "Refused but for --force" in passed
+    assert "begun by force: True" in passed
