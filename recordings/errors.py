@@ -19,6 +19,21 @@ def about(subject: object) -> Iterator[None]:
         raise InputError(f"{subject}: {error}") from None
 
 
+@contextmanager
+def readable(subject: object, what: str) -> Iterator[None]:
+    """Turn any exception of a third-party reader into an InputError: a broken file fails anywhere inside.
+
+    `subject` is the file's path, `what` it should be: "an MCAP file".
+    """
+    try:
+        with about(subject):
+            yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{subject}: expected {what} that can be read ({first_line(error):.300})") from error
+
+
 def first_line(error: BaseException) -> str:
     """The first line of an error's message, or its kind when it has none."""
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -203,7 +203,7 @@ def test_what_says_too_much_is_no_error_of_ours(tmp_path):
     pytest.importorskip("rosbags")
     path = bag(tmp_path / "bag")
     (path / "metadata.yaml").write_text("[" * 500)
-    with pytest.raises(InputError, match="no ROS 2 bag that can be read"):
+    with pytest.raises(InputError, match="expected a ROS 2 bag that can be read"):
         recordings_of(path, JOINTS)
 
 
