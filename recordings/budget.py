@@ -5,10 +5,11 @@ A file's own bytes are its sender's cost, so limits grow with them; a small file
     arrays in memory     max(1 GiB,  10 × the file's bytes)
     unpacked in a stream max(1 GiB, 100 × the file's bytes), one piece of 256 MiB after the other
     unpacked to disk     the same, and half of what is free there at most
-    numbers of a log     2²⁵, in 10,000 tracks
+    records of a log     max(2²³, file's bytes / 64)
+    numbers of a log     2²⁵, in 10,000 tracks; a message counts for 16 or more
     texts parsed whole   16 MiB; 1 MiB of YAML, whose parser takes a second for 100 kB
     a message            16 MiB
-    steps of a query     2·10⁹ of SQLite's virtual machine, about 20 s
+    steps of a query     5·10⁸ of SQLite's virtual machine, about 5 s
 """
 
 import shutil
@@ -30,7 +31,9 @@ MESSAGE = 2**24
 """Bytes of a message."""
 NUMBERS, TRACKS = 2**25, 10_000
 """Numbers of a log, and its tracks."""
-STEPS = 2_000_000_000
+RECORDS, RECORD = 2**23, 64
+"""Records of a small log, and bytes of a record of a large one: passing one over takes a microsecond."""
+STEPS = 500_000_000
 """Steps of a database's query."""
 ARRAYS, STREAMED = 10, 100
 """Bytes of memory, and of a stream, for each byte of a file."""
@@ -60,10 +63,12 @@ class Budget:
 
     size: int
     _bytes: int = field(init=False)
+    _records: int = field(init=False)
     _numbers: int = field(init=False, default=NUMBERS)
 
     def __post_init__(self) -> None:
         self._bytes = max(MEMORY, STREAMED * self.size)
+        self._records = max(RECORDS, self.size // RECORD)
 
     def unpack(self, size: int, what: str) -> None:
         """Take `size` bytes that `what` unpacks to."""
@@ -72,6 +77,14 @@ class Budget:
             raise InputError(
                 f"{what} unpacks to more than {max(MEMORY, STREAMED * self.size) / 2**30:.3g} GiB, the limit for "
                 f"{self.size} bytes: export what is needed alone"
+            )
+
+    def record(self) -> None:
+        """Take one record."""
+        self._records -= 1
+        if self._records < 0:
+            raise InputError(
+                f"it has more than {max(RECORDS, self.size // RECORD)} records: export what is needed alone"
             )
 
     def piece(self, size: int, what: str, limit: int = PIECE) -> None:

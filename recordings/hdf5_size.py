@@ -43,14 +43,14 @@ def check_hdf5(path: str | Path) -> None:
 def _declared(store: h5py.File) -> int:
     """Bytes of all its data sets in memory."""
     declared = 0
+    links: list[tuple[str, object]] = []
+    store.visititems_links(lambda name, link: links.append((name, link)))
 
-    def visit(name: str, link: object) -> None:
-        nonlocal declared
+    for name, link in links:
         if isinstance(link, h5py.ExternalLink):
             raise InputError(f"{name:.100} lies in another file, {link.filename!r:.100}, which is not read")
         if not isinstance(link, h5py.HardLink) or not isinstance(node := store[name], h5py.Dataset):
-            return
-
+            continue
         if node.external or node.is_virtual:
             raise InputError(f"{name:.100} lies in other files, which are not read")
         item = max(NUMBER, node.dtype.itemsize)
@@ -58,6 +58,4 @@ def _declared(store: h5py.File) -> int:
         if chunk > PIECE:
             raise InputError(f"{name:.100} has chunks of {chunk:.3g} bytes, expected at most {PIECE / 2**20:g} MiB")
         declared += item * int(node.size or 0)
-
-    store.visititems_links(visit)
     return declared

@@ -10,6 +10,7 @@ As in a bag (:mod:`.ros_bag`), messages are read by the definitions that `rosbag
 import json
 import struct
 from collections.abc import Callable, Iterator
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -75,6 +76,7 @@ class _Messages:
     def records(self, file: BinaryIO, end: int, chunks: bool) -> None:
         """Take the records up to a place in a file or a chunk."""
         for opcode, size in _walk(file, end):
+            self._found.budget.record()
             if opcode == SCHEMA:
                 schema = self._read(self._records.Schema, _content(file, size, "a schema", DOCUMENT))
                 self._schemas[schema.id] = schema.name
@@ -152,6 +154,7 @@ def unpacked(data: bytes, compression: str, limit: int) -> bytes:
     raise InputError(f"expected chunks compressed by zstd or lz4, got {compression!r:.40}")
 
 
+@cache
 def decoders() -> dict[str, Callable[[bytes, str], Any]]:
     """Of each encoding, the function of a message's bytes and type. Raises ImportError without `rosbags`."""
     from rosbags.typesys import Stores, get_typestore
@@ -160,5 +163,12 @@ def decoders() -> dict[str, Callable[[bytes, str], Any]]:
     return {
         "cdr": own.deserialize_cdr,
         "ros1": old.deserialize_ros1,
-        "json": lambda content, kind: json.loads(content),
+        "json": _from_json,
     }
+
+
+def _from_json(content: bytes, kind: str) -> dict[str, Any]:
+    message = json.loads(content)
+    if not isinstance(message, dict):
+        raise InputError(f"expected a {kind} as an object in JSON, got {message!r:.40}")
+    return message

@@ -10,14 +10,13 @@ JointState is in rad, rad/s, N·m by its definition.
 
 import warnings
 from array import array
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ..budget import NUMBERS, TRACKS, Budget
+from ..budget import TRACKS, Budget
 from ..errors import InputError, first_line
 from .tracks import Episode, Needed, Track
 
@@ -31,18 +30,34 @@ PACKAGES = {
 TARGETS = ("JointTrajectory",)
 QUANTITIES = ("position", "velocity", "effort")
 POINT = {"position": "positions", "velocity": "velocities", "effort": "effort"}
+WORTH = 16
+"""Numbers that a message counts for, at least: it takes as long to read."""
 PAUSE = 10
 """Median intervals between a stamp of 0 and the next one, at most, where 0 is a time."""
 
 
+Layout = tuple[tuple[str, tuple[str, ...] | int], ...]
+"""What a message's numbers are: quantities with the joints that have them, or "" and how many there are."""
+
+
 @dataclass
 class _Topic:
-    """Messages' stamps and times of logging, ns; of each track the numbers of its messages, and values."""
+    """Messages' stamps and times of logging, ns; of each layout the numbers of its messages, and values one by one."""
 
     target: bool
     stamps: array = field(default_factory=lambda: array("q"))
     logged: array = field(default_factory=lambda: array("q"))
-    tracks: dict[str, tuple[array, array]] = field(default_factory=dict)
+    layouts: dict[Layout, tuple[array, array]] = field(default_factory=dict)
+
+    def tracks(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        """Each track's name, the numbers (N,) of its messages and values (N,)."""
+        parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for layout, (rows, values) in self.layouts.items():
+            matrix, rows = np.array(values).reshape(len(rows), -1), np.array(rows)
+            for k, name in enumerate(_names(layout)):
+                parts.setdefault(name, []).append((rows, matrix[:, k]))
+        for name, found in parts.items():
+            yield name, *(np.concatenate(each) for each in zip(*found, strict=True))
 
 
 def known(kind: str, encoding: str) -> str | None:
@@ -66,7 +81,7 @@ class Collected:
         self.budget = budget
         self._needed = needed
         self._topics: dict[str, _Topic] = {}
-        self._skipped: Counter[str] = Counter()
+        self._skipped: dict[str, None] = {}
         self._count = 0
 
     def wants(self, topic: str) -> bool:
@@ -75,7 +90,8 @@ class Collected:
 
     def skip(self, kind: str, encoding: str) -> None:
         """Take note of messages that are not read."""
-        self._skipped[f"{kind:.60} ({encoding or 'no encoding':.20})"] += 1
+        if len(self._skipped) < TRACKS:
+            self._skipped[f"{kind:.60} ({encoding or 'no encoding':.20})"] = None
 
     def add(self, topic: str, kind: str, message: Any, logged: int) -> None:
         """Take a message of a type's name ("sensor_msgs/msg/JointState") that was logged at a time, ns.
@@ -84,20 +100,22 @@ class Collected:
         """
         name = kind.rpartition("/")[2]
         own = self._topics.setdefault(topic, _Topic(name in TARGETS))
-        number = len(own.stamps)
         try:
-            own.stamps.append(_stamp(message))
+            stamp, (layout, values) = _stamp(message), _numbers(name, message)
+            self.budget.count(max(len(values), WORTH))
+            if not len(values):
+                return
+
+            if layout not in own.layouts:
+                self._count += len(values)
+                if self._count > TRACKS:
+                    raise InputError(f"it has more than {TRACKS} tracks: export fewer topics")
+                own.layouts[layout] = array("I"), array("d")
+            rows, numbers = own.layouts[layout]
+            rows.append(len(own.stamps))
+            numbers.frombytes(values.tobytes())
+            own.stamps.append(stamp)
             own.logged.append(logged)
-            for track, value in _numbers(name, message):
-                if track not in own.tracks:
-                    self._count += 1
-                    if self._count > TRACKS:
-                        raise InputError(f"it has more than {TRACKS} tracks: export fewer topics")
-                    own.tracks[track] = array("I"), array("d")
-                rows, values = own.tracks[track]
-                rows.append(number)
-                values.append(value)
-                self.budget.count(1)
         except InputError:
             raise
         except (TypeError, ValueError, LookupError, OverflowError, AttributeError) as error:
@@ -105,20 +123,19 @@ class Collected:
 
     def episode(self) -> Episode:
         """The tracks, from time 0 on. Raises InputError where there is none, with the types that were not read."""
-        if not self._topics:
-            others = ", ".join(name for name, _ in self._skipped.most_common(8))
+        if not any(own.layouts for own in self._topics.values()):
+            others = ", ".join([*(f"{topic:.60} without numbers" for topic in self._topics), *self._skipped][:8])
             raise InputError(
                 f"expected messages of {', '.join(PACKAGES)} in CDR, JSON or ROS 1's format, it has {others or 'none'}"
             )
-        times = {topic: _times(own, topic) for topic, own in self._topics.items()}
+        times = {topic: _times(own, topic) for topic, own in self._topics.items() if own.layouts}
         begin = min((int(time[use].min()) for time, use in times.values() if use.any()), default=0)
 
         found = {}
-        for topic, own in self._topics.items():
-            time, use = times[topic]
-            second = np.where(use, (time - begin) * 1e-9, np.nan)
-            for name, (rows, values) in own.tracks.items():
-                found[f"{topic}.{name}"] = Track.of(second[np.array(rows)], np.array(values), own.target)
+        for topic, (time, use) in times.items():
+            second, own = np.where(use, (time - begin) * 1e-9, np.nan), self._topics[topic]
+            for name, rows, values in own.tracks():
+                found[f"{topic}.{name}"] = Track.of(second[rows], values, own.target)
         return found
 
 
@@ -162,25 +179,38 @@ def _stamp(message: Any) -> int:
     return round((_of(stamp, "sec") or 0) * 10**9) + round(nanoseconds)
 
 
-def _numbers(kind: str, message: Any) -> Iterator[tuple[str, float]]:
+def _numbers(kind: str, message: Any) -> tuple[Layout, np.ndarray]:
+    """A message's numbers (N,), and what they are."""
     if kind == "JointState":
-        yield from _of_joints(_of(message, "name"), {name: _of(message, name) for name in QUANTITIES})
-    elif kind == "JointTrajectory":
+        return _of_joints(_of(message, "name"), {name: _of(message, name) for name in QUANTITIES})
+    if kind == "JointTrajectory":
         points = _of(message, "points")
-        if points is not None and len(points):
-            yield from _of_joints(_of(message, "joint_names"), {n: _of(points[0], own) for n, own in POINT.items()})
-    elif kind in ("Float64MultiArray", "Float32MultiArray"):
-        data = _of(message, "data")
-        if len(data) > NUMBERS:
-            raise ValueError(f"{len(data)} numbers")
-        for k, value in enumerate(data):
-            yield str(k), float(value)
+        first = points[0] if points is not None and len(points) else None
+        return _of_joints(_of(message, "joint_names"), {name: _of(first, own) for name, own in POINT.items()})
+    values = _values(_of(message, "data"))
+    return (("", len(values)),), values
 
 
-def _of_joints(joints: Any, quantities: dict[str, Any]) -> Iterator[tuple[str, float]]:
+def _of_joints(joints: Any, quantities: dict[str, Any]) -> tuple[Layout, np.ndarray]:
     """Each joint's numbers; a quantity may be left out."""
-    for quantity, values in quantities.items():
-        for joint, value in zip(joints or (), () if values is None else values, strict=False):
-            if not isinstance(joint, str):
-                raise TypeError(f"a joint is called {joint!r:.40}")
-            yield f"{joint}.{quantity}", float(value)
+    names = tuple(joints or ())
+    if strange := [name for name in names if not isinstance(name, str)]:
+        raise TypeError(f"a joint is called {strange[0]!r:.40}")
+
+    values = {quantity: _values(given)[: len(names)] for quantity, given in quantities.items() if given is not None}
+    layout = tuple((quantity, names[: len(each)]) for quantity, each in values.items())
+    return layout, np.concatenate([np.empty(0), *values.values()])
+
+
+def _values(given: Any) -> np.ndarray:
+    """An array of a message, or JSON's list, as numbers; numpy alone would take None for one."""
+    return np.asarray(given if isinstance(given, np.ndarray) else [float(each) for each in given], dtype=np.float64)
+
+
+def _names(layout: Layout) -> Iterator[str]:
+    """Names of a layout's numbers, in their order."""
+    for quantity, joints in layout:
+        if isinstance(joints, int):
+            yield from map(str, range(joints))
+        else:
+            yield from (f"{joint}.{quantity}" for joint in joints)

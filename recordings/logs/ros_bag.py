@@ -86,5 +86,7 @@ def _plain(path: Path, packed: bool, budget: Budget) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "plain"
         with path.open("rb") as source, plain.open("wb") as target:
-            budget.copy(ZstdDecompressor().stream_reader(source), target, Path(folder), path.name)
+            budget.copy(
+                ZstdDecompressor().stream_reader(source, read_across_frames=True), target, Path(folder), path.name
+            )
         yield plain
