@@ -8,7 +8,7 @@ JOINTS = ("shoulder", "elbow")
 TIME = np.arange(6) * 0.02
 ANGLE = np.stack([0.1 * np.arange(6), -0.2 * np.arange(6)], -1)
 EFFORT = np.stack([np.arange(6.0), 1 - np.arange(6.0)], -1)
-STATE = ("sensor_msgs/msg/JointState",)
+STATE = "sensor_msgs/msg/JointState"
 DEFINITION = """std_msgs/Header header
 string[] name
 float64[] position
@@ -35,8 +35,8 @@ def messages(store):
     for t, angle, effort in zip(TIME, ANGLE, EFFORT, strict=True):
         sec, nano = nanoseconds(t)
         header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](sec, nano), "")
-        message = kinds[STATE[0]](header, list(JOINTS), angle, np.zeros(0), effort)
-        yield sec * 10**9 + nano, store.serialize_cdr(message, STATE[0])
+        message = kinds[STATE](header, list(JOINTS), angle, np.zeros(0), effort)
+        yield sec * 10**9 + nano, store.serialize_cdr(message, STATE)
 
 
 def joint_states(sec, angle, store):
@@ -44,7 +44,7 @@ def joint_states(sec, angle, store):
     kinds = store.types
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](int(sec), round(sec % 1 * 1e9)), "")
     values = np.full(len(JOINTS), float(angle))
-    return store.serialize_cdr(kinds[STATE[0]](header, list(JOINTS), values, np.zeros(0), values), STATE[0])
+    return store.serialize_cdr(kinds[STATE](header, list(JOINTS), values, np.zeros(0), values), STATE)
 
 
 def bag(path, storage="sqlite3"):
@@ -54,7 +54,7 @@ def bag(path, storage="sqlite3"):
     store = get_typestore(Stores.ROS2_HUMBLE)
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with Writer(path, version=8, storage_plugin=plugin) as writer:
-        connection = writer.add_connection("/joint_states", *STATE, typestore=store)
+        connection = writer.add_connection("/joint_states", STATE, typestore=store)
         for stamp, message in messages(store):
             writer.write(connection, stamp + 500, message)
     return path
@@ -67,7 +67,7 @@ def mcap(path):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
-        schema = writer.register_schema(STATE[0], "ros2msg", DEFINITION.encode())
+        schema = writer.register_schema(STATE, "ros2msg", DEFINITION.encode())
         channel = writer.register_channel("/joint_states", "cdr", schema)
         for stamp, message in messages(get_typestore(Stores.ROS2_HUMBLE)):
             writer.add_message(channel, stamp, bytes(message), stamp)

@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from ..budget import MEMORY, MESSAGE, STEPS, TRACKS
 from ..errors import InputError
-from .mcap_file import decoders, unpacked
+from .mcap_file import decoders, plain
 from .messages import Collected, known
 from .tracks import needed
 
@@ -54,13 +54,9 @@ def collect_database(path: Path, found: Collected, packed: bool) -> None:
                         f"{time_type} and {data_type}"
                     )
                 found.budget.piece(size, f"a message of {name!r:.60}", MESSAGE)
-                if packed:
-                    data = unpacked(data, "zstd", MESSAGE)
-                    found.budget.piece(len(data), f"a message of {name!r:.60}", MESSAGE)
-                    found.budget.unpack(len(data), "it")
                 if not found.wants(name):
                     break
-                found.add(name, kind, decode(data, kind), logged)
+                found.add(name, kind, decode(plain(data, found) if packed else data, kind), logged)
 
 
 @contextmanager

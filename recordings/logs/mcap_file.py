@@ -37,10 +37,13 @@ def read_mcap(path: Path, time: str | None = None, tracks: Needed | None = None)
         return [found.episode()]
 
 
-def collect_mcap(path: Path, found: Collected) -> None:
-    """Add a file's messages. Raises InputError, and what `mcap` and `rosbags` raise for a broken file."""
+def collect_mcap(path: Path, found: Collected, packed: bool = False) -> None:
+    """Add a file's messages; `packed` where each is compressed by zstd, as in a bag.
+
+    Raises InputError, and what `mcap` and `rosbags` raise for a broken file.
+    """
     try:
-        read = _Messages(found)
+        read = _Messages(found, packed)
     except ImportError as error:
         raise InputError(needed("mcap and rosbags", "MCAP")) from error
 
@@ -62,10 +65,10 @@ class _Exact(BytesIO):
 class _Messages:
     """Schemas and channels so far, and where messages go."""
 
-    def __init__(self, found: Collected) -> None:
+    def __init__(self, found: Collected, packed: bool) -> None:
         from mcap import data_stream, records
 
-        self._found, self._decode = found, decoders()
+        self._found, self._packed, self._decode = found, packed, decoders()
         self._read: Callable[[Any, bytes], Any] = lambda kind, content: kind.read(
             data_stream.ReadDataStream(_Exact(content))
         )
@@ -103,6 +106,7 @@ class _Messages:
             self._found.skip(name or "no type", channel.message_encoding)
         elif self._found.wants(channel.topic):
             content = _content(file, size - 22, f"a message of {channel.topic:.60}", MESSAGE)
+            content = plain(content, self._found) if self._packed else content
             self._found.add(channel.topic, kind, decode(content, kind), logged)
 
     def _chunk(self, file: BinaryIO, size: int) -> None:
@@ -152,6 +156,14 @@ def unpacked(data: bytes, compression: str, limit: int) -> bytes:
 
         return LZ4FrameDecompressor().decompress(data, max_length=limit + 1)
     raise InputError(f"expected chunks compressed by zstd or lz4, got {compression!r:.40}")
+
+
+def plain(content: bytes, found: Collected) -> bytes:
+    """A message that is compressed by itself. Raises InputError beyond the budget."""
+    message = unpacked(content, "zstd", MESSAGE)
+    found.budget.piece(len(message), "a message, unpacked,", MESSAGE)
+    found.budget.unpack(len(message), "it")
+    return message
 
 
 @cache

@@ -19,7 +19,7 @@ from .mcap_file import collect_mcap
 from .messages import Collected
 from .tracks import Episode, Needed, needed
 
-STORAGES = {"sqlite3": collect_database, "mcap": lambda path, found, packed: collect_mcap(path, found)}
+STORAGES = {"sqlite3": collect_database, "mcap": collect_mcap}
 ABOUT = "metadata.yaml"
 
 
@@ -39,8 +39,8 @@ def read_bag(path: Path, time: str | None = None, tracks: Needed | None = None) 
         collect = STORAGES[table["storage_identifier"]]
 
         for file in files:
-            with _plain(file, packed == "file", found.budget) as plain, about(file.name):
-                collect(plain, found, packed == "message")
+            with _unpacked(file, packed == "file", found.budget) as stored, about(file.name):
+                collect(stored, found, packed == "message")
         return [found.episode()]
 
 
@@ -76,7 +76,7 @@ def _inside(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def _plain(path: Path, packed: bool, budget: Budget) -> Iterator[Path]:
+def _unpacked(path: Path, packed: bool, budget: Budget) -> Iterator[Path]:
     """The file, or for one that is compressed as a whole, what it unpacks to, for as long as it is needed."""
     if not packed:
         yield path

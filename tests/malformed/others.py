@@ -22,33 +22,34 @@ import numpy as np
 
 BOMB, PATH, ODD = "memory bombs", "paths out of a bag", "hangs and odd types"
 REFUSE, READ, EITHER = "refuse", "read", "either"
-STATE = log_files.STATE[0]
+STATE = log_files.STATE
 
 
 @dataclass(frozen=True)
 class Hostile:
-    """An input: its kind, which reader it is for (:mod:`.reader`), what must come of it, and how it is made."""
+    """An input: its kind, its reader (:mod:`.reader`), what must come of it, and how it is made, if `costly` in seconds."""
 
     kind: str
     what: str
     reader: str
     must: str
+    costly: bool
     make: Callable[[Path, random.Random], Path]
 
 
 ALL: list[Hostile] = []
 
 
-def hostile(kind: str, /, reader: str = "log", must: str = REFUSE, **each: tuple) -> Callable:
+def hostile(kind: str, /, reader: str = "log", must: str = REFUSE, costly: bool = False, **each: tuple) -> Callable:
     """Register a function as an input; or as several, by the values of its one keyword."""
 
     def register(make: Callable) -> Callable:
         name = make.__name__.replace("_", " ")
         for key, values in each.items():
             for value in values:
-                ALL.append(Hostile(kind, f"{name}: {value}", reader, must, partial(make, **{key: value})))
+                ALL.append(Hostile(kind, f"{name}: {value}", reader, must, costly, partial(make, **{key: value})))
         if not each:
-            ALL.append(Hostile(kind, name, reader, must, make))
+            ALL.append(Hostile(kind, name, reader, must, costly, make))
         return make
 
     return register
@@ -168,7 +169,7 @@ def a_chunk_of_zeros(folder, rng, codec):
     return written(folder, channel(), chunk(zeros(codec, size), codec, claimed))
 
 
-@hostile(BOMB)
+@hostile(BOMB, costly=True)
 def many_chunks_of_zeros(folder, rng):
     """Records of a kind that is passed over, of 200 MiB each."""
     size = 200
@@ -181,7 +182,7 @@ def many_chunks_of_zeros(folder, rng):
     return written(folder, *[one] * rng.randint(7, 12))
 
 
-@hostile(BOMB)
+@hostile(BOMB, costly=True)
 def many_records(folder, rng):
     """Empty records of a kind that is passed over."""
     from zstandard import ZstdCompressor
@@ -190,7 +191,7 @@ def many_records(folder, rng):
     return written(folder, chunk(ZstdCompressor(level=1).compress(data), "zstd", len(data)))
 
 
-@hostile(BOMB)
+@hostile(BOMB, costly=True)
 def many_small_messages(folder, rng):
     from zstandard import ZstdCompressor
 
@@ -258,7 +259,7 @@ def a_parquet_of_many_rows(folder, rng):
     return parquet(folder, state(2**18), rng.randint(24, 40))
 
 
-@hostile(BOMB)
+@hostile(BOMB, costly=True)
 def a_list_of_many_numbers(folder, rng):
     from pyarrow import ListArray, array
 
@@ -299,7 +300,7 @@ def _touched(path: Path) -> Path:
 # -- bags ------------------------------------------------------------------------------------------------------
 
 
-@hostile(BOMB)
+@hostile(BOMB, costly=True)
 def a_packed_bag_of_zeros(folder, rng):
     path = good(folder, "bag")
     file = next(path.glob("*.db3"))
