@@ -107,7 +107,8 @@ def _columns(
     for name in single:
         found[name] = np.concatenate([part[0] for part in parts[name]] or [np.empty(0)])
     for name in lists:
-        lengths, numbers = (np.concatenate(each) for each in zip(*parts[name], strict=True)) if parts[name] else ()
+        lengths = np.concatenate([np.empty(0, np.int64), *(part[0] for part in parts[name])])
+        numbers = np.concatenate([np.empty(0), *(part[1] for part in parts[name])])
         found |= _entries(name, lengths, numbers, called.get(name, ()), budget)
     return found
 

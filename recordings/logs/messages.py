@@ -53,11 +53,11 @@ class _Topic:
         """Each track's name, the numbers (N,) of its messages and values (N,)."""
         parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         for layout, (rows, values) in self.layouts.items():
-            matrix, rows = np.array(values).reshape(len(rows), -1), np.array(rows)
+            own, matrix = np.array(rows), np.array(values).reshape(len(rows), -1)
             for k, name in enumerate(_names(layout)):
-                parts.setdefault(name, []).append((rows, matrix[:, k]))
+                parts.setdefault(name, []).append((own, matrix[:, k]))
         for name, found in parts.items():
-            yield name, *(np.concatenate(each) for each in zip(*found, strict=True))
+            yield name, np.concatenate([own for own, _ in found]), np.concatenate([values for _, values in found])
 
 
 def known(kind: str, encoding: str) -> str | None:

@@ -27,7 +27,7 @@ STATE = log_files.STATE
 
 @dataclass(frozen=True)
 class Hostile:
-    """An input: its kind, its reader (:mod:`.reader`), what must come of it, whether it takes seconds; how to make it."""
+    """An input: its kind, its reader (:mod:`.reader`), what must come of it, if it takes seconds, how to make it."""
 
     kind: str
     what: str
