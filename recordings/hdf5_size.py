@@ -51,11 +51,16 @@ def _declared(store: h5py.File) -> int:
             raise InputError(f"{name:.100} lies in another file, {link.filename!r:.100}, which is not read")
         if not isinstance(link, h5py.HardLink) or not isinstance(node := store[name], h5py.Dataset):
             continue
-        if node.external or node.is_virtual:
-            raise InputError(f"{name:.100} lies in other files, which are not read")
-        item = max(NUMBER, node.dtype.itemsize)
-        chunk = item * int(np.prod(node.chunks or (0,), dtype=object))
-        if chunk > PIECE:
-            raise InputError(f"{name:.100} has chunks of {chunk:.3g} bytes, expected at most {PIECE / 2**20:g} MiB")
-        declared += item * int(node.size or 0)
+        declared += bytes_of(node)
     return declared
+
+
+def bytes_of(data: h5py.Dataset) -> int:
+    """Bytes of a data set in memory. Raises InputError where it lies in another file or its chunks are too large."""
+    if data.external or data.is_virtual:
+        raise InputError(f"{data.name:.100} lies in another file, which is not read")
+    item = max(NUMBER, data.dtype.itemsize)
+    chunk = item * int(np.prod(data.chunks or (0,), dtype=object))
+    if chunk > PIECE:
+        raise InputError(f"{data.name:.100} has chunks of {chunk:.3g} bytes, expected at most {PIECE / 2**20:g} MiB")
+    return item * int(data.size or 0)

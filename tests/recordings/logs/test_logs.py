@@ -329,6 +329,18 @@ def test_what_is_not_read_is_named(tmp_path):
         assert name in str(refusal.value)
 
 
+@pytest.mark.parametrize("kind", ["a\nb", "\x1b[31mred", "a\r\nb"])
+def test_names_out_of_a_file_stay_in_one_line(tmp_path, kind):
+    """Neither a type nor a topic's name moves the cursor of a terminal."""
+    pytest.importorskip("mcap")
+    other = ros_log(tmp_path / "log.mcap", ("/other", kind, "cdr", [(1, b"")]))
+    named = ros_log(tmp_path / "named.mcap", (kind, STATE, "cdr", states((1, 1.02))))
+    for path, mapping in ((other, None), (named, {"joints": {"elbow": {"angle": "q"}}})):
+        with pytest.raises(InputError) as refusal:
+            recordings_of(path, JOINTS, None if mapping is None else LogMap.of(mapping))
+        assert str(refusal.value).isprintable()
+
+
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE", "NONE"])
 def test_a_bag_of_any_storage_and_compression(tmp_path, storage, mode):
