@@ -173,10 +173,13 @@ def _stamp(message: Any) -> int:
     stamp = None if header is None else _of(header, "stamp")
     if stamp is None:
         return 0
-    nanoseconds = _of(stamp, "nanosec")
+    seconds, nanoseconds = _of(stamp, "sec"), _of(stamp, "nanosec")
     if nanoseconds is None:
-        nanoseconds = _of(stamp, "nsec") or 0
-    return round((_of(stamp, "sec") or 0) * 10**9) + round(nanoseconds)
+        nanoseconds = _of(stamp, "nsec")
+    for part in (seconds, nanoseconds):
+        if not isinstance(part, int | float | None):  # a text times 10⁹ would fill memory
+            raise TypeError(f"its stamp has {part!r:.40}")
+    return round((seconds or 0) * 10**9) + round(nanoseconds or 0)
 
 
 def _numbers(kind: str, message: Any) -> tuple[Layout, np.ndarray]:

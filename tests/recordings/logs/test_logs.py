@@ -121,6 +121,9 @@ def test_what_says_too_much_is_no_error_of_ours(tmp_path):
     ("kind", "message"),
     [
         (STATE, {"name": 5, "position": [1]}),
+        (STATE, {"header": {"stamp": {"sec": "soon"}}, "name": ["elbow"], "position": [1]}),
+        (STATE, {"header": {"stamp": {"sec": 1, "nanosec": [0]}}, "name": ["elbow"], "position": [1]}),
+        (STATE, {"header": {"stamp": {"sec": 10**400}}, "name": ["elbow"], "position": [1]}),
         (STATE, {"name": ["elbow"], "position": [None]}),
         (STATE, {"name": ["elbow"], "position": [10**400]}),
         ("trajectory_msgs/msg/JointTrajectory", {"points": {"a": 1}}),
