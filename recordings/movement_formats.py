@@ -14,6 +14,7 @@ import numpy as np
 
 from .deeplabcut import choose_individual
 from .errors import InputError, about, first_line
+from .hdf5_size import check_hdf5
 from .recording import Recording
 
 SOFTWARE = {  # our name of a format: movement's
@@ -27,12 +28,15 @@ def read_with_movement(path: str | Path, software: str, fps: float, individual: 
     """Read tracks by `movement`; `software` is one of `SOFTWARE`'s keys.
 
     Raises:
-        InputError: `movement` is not installed, cannot read the file, or an animal has to be chosen.
+        InputError: `movement` is not installed or cannot read the file, it is beyond its budget, or an animal has to
+            be chosen.
         OSError: a file that cannot be opened.
     """
     with open(path, "rb"):  # missing, a folder, not permitted: the system's own words are the clearest
         pass
     load_dataset = _import_movement(path)
+    if Path(path).suffix.lower() != ".csv":
+        check_hdf5(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the library's own affairs

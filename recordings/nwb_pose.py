@@ -15,14 +15,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from .budget import MEMORY
 from .deeplabcut import choose_individual
 from .errors import InputError, about, first_line
+from .hdf5_size import bytes_of
 from .paths import check_readable
 from .recording import Recording
 
 SERIES = "PoseEstimationSeries"
-LARGEST = 2**28
-"""Numbers of one data set; a file may declare any size and hold nothing."""
 
 
 def read_nwb_pose(path: str | Path, individual: str | None = None) -> Recording:
@@ -123,8 +123,8 @@ def _numbers(stored: h5py.Dataset) -> np.ndarray:
 def _child(group: h5py.Group, name: str) -> h5py.Dataset:
     """A data set of a group, which lies in the same file and is not too large. Raises InputError for another."""
     stored = None if isinstance(group.get(name, getlink=True), h5py.ExternalLink) else group[name]
-    if stored is None or stored.file != group.file or stored.external or stored.is_virtual:
+    if stored is None or stored.file != group.file:
         raise InputError(f"{group.name}/{name} lies in another file, which is not read")
-    if (stored.size or 0) > LARGEST:
-        raise InputError(f"{stored.name} has {stored.size} numbers: expected at most {LARGEST}")
+    if (size := bytes_of(stored)) > MEMORY:
+        raise InputError(f"{stored.name} declares {size:.3g} bytes, expected at most {MEMORY / 2**30:g} GiB")
     return stored

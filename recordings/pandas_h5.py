@@ -18,18 +18,20 @@ from typing import Any
 import h5py
 import numpy as np
 
+from .budget import memory_limit
 from .errors import InputError, first_line
+from .hdf5_size import check_hdf5
 
 Label = tuple[str, ...]
-LARGEST = 2**31  # bytes of one array; a file may declare any size and hold nothing
 
 
 def read_pandas_h5(path: str | Path, key: str) -> tuple[list[Label], np.ndarray, np.ndarray]:
     """Column labels (C), the rows' numbers (T,) and values (T, C) of the table at `key`, or the file's first.
 
-    Raises InputError for a file that is not whole or holds no such table, for labels or values that are pickled
-    objects, and rows without numbers; OSError for a file that cannot be opened.
+    Raises InputError for a file that is not whole, is beyond its budget or holds no such table, for labels or values
+    that are pickled objects, and rows without numbers; OSError for a file that cannot be opened.
     """
+    check_hdf5(path)
     with open(path, "rb") as file:
         try:
             with h5py.File(file, "r") as store:
@@ -42,8 +44,10 @@ def read_pandas_h5(path: str | Path, key: str) -> tuple[list[Label], np.ndarray,
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # a broken file fails anywhere inside HDF5
             raise InputError(f"{path}: not a whole table of pandas ({first_line(error)})") from None
-    if 8 * len(rows) * len(columns) > LARGEST:
-        raise InputError(f"{path}: its table, {len(rows)} × {len(columns)} numbers, is larger than 2 GiB")
+    if 8 * len(rows) * len(columns) > (limit := memory_limit(Path(path).stat().st_size)):
+        raise InputError(
+            f"{path}: its table has {len(rows)} × {len(columns)} numbers, expected at most {limit / 2**30:.3g} GiB"
+        )
     values = np.full((len(rows), len(columns)), np.nan)
     place = {label: i for i, label in enumerate(columns)}
     for labels, block in blocks:
@@ -74,7 +78,6 @@ def _labels(group: h5py.Group, axis: str) -> list[Label]:
 
 def _appendable(group: h5py.Group) -> tuple[list[Label], np.ndarray, list[tuple[list[Label], np.ndarray]]]:
     table = group["table"]
-    _check_size(table)
     ((_, columns),) = _plain(group.attrs["non_index_axes"])
     rows = table[:]
     names = [name for name in rows.dtype.names if name.startswith("values_block_")]
@@ -91,20 +94,13 @@ def _tuples(labels: list) -> list[Label]:
 def _numbers(stored: h5py.Dataset) -> np.ndarray:
     if not np.issubdtype(stored.dtype, np.number) or stored.dtype.metadata:
         raise InputError(f"{stored.name} holds no numbers but text or pickled objects: labelled images are no film")
-    _check_size(stored)
     return stored[()].astype(float)
 
 
 def _texts(stored: h5py.Dataset) -> list[str]:
     if stored.dtype.kind != "S":
         return [str(number) for number in _numbers(stored)]
-    _check_size(stored)
     return [text.decode() for text in stored[()]]
-
-
-def _check_size(stored: h5py.Dataset) -> None:
-    if stored.size * max(8, stored.dtype.itemsize) > LARGEST:  # numbers of any type become float64
-        raise InputError(f"{stored.name} is larger than 2 GiB")
 
 
 class _Plain(pickle.Unpickler):

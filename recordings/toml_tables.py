@@ -4,15 +4,16 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from .budget import read_document
 from .errors import InputError, first_line
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Tables of a file that should be ``what``, such as "a calibration".
 
-    Raises InputError for what is no TOML, OSError for a file that cannot be opened.
+    Raises InputError for what is no TOML or too long for one, OSError for a file that cannot be opened.
     """
-    content = Path(path).read_bytes()
+    content = read_document(path)
     try:
         return tomllib.loads(content.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -6,7 +6,6 @@ the attribute "model" tells, has no torque.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import arviz as az
@@ -14,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from invdyn.inference.posterior.problem import STATES
-from invdyn.recordings import InputError, check_readable
+from invdyn.recordings import InputError
 
 JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
 NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
@@ -42,16 +41,6 @@ NUMBERS, TEXTS = ("log_evidence", "outer_ess"), ("method",)
 """Attributes of the whole."""
 LARGEST, LONGEST = 1e15, 100
 """Of any number, and of any name in characters."""
-TIGHTEST = 1100
-"""Times that deflate makes bytes fewer, at most (1032, and a little for the rest of a file)."""
-
-
-def check_size(idata: az.InferenceData, path: str | Path) -> None:
-    """Raise InputError where a file of that size cannot hold what it says it holds; nothing is read yet."""
-    declared = sum(idata[group].nbytes for group in idata.groups())
-    there = check_readable(path).stat().st_size
-    if declared > TIGHTEST * there:
-        raise InputError(f"{path} is damaged: its {there} bytes cannot hold the {declared:.3g} that it declares")
 
 
 def check_layout(idata: az.InferenceData) -> None:

@@ -42,10 +42,11 @@ from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
-from invdyn.inference.posterior.layout import check_layout, check_size
+from invdyn.inference.posterior.layout import check_layout
 from invdyn.inference.posterior.problem import DRAWS, Contents, StateSpaceProblem, Variables
-from invdyn.recordings import InputError, atomic_path, check_readable, resolved
+from invdyn.recordings import InputError, atomic_path, resolved
 from invdyn.recordings.errors import about, first_line
+from invdyn.recordings.hdf5_size import check_hdf5
 
 
 def to_inference_data(
@@ -307,12 +308,11 @@ def load_posterior(path: str | Path) -> az.InferenceData:
     """
     if not resolved(path).exists():
         raise FileNotFoundError(2, "no such posterior", str(path))
-    check_readable(path)
+    check_hdf5(path)  # first: where this fails, h5netcdf complains once more when it is dropped
     try:
-        with h5py.File(path) as store:  # where this fails, h5netcdf complains once more when it is dropped
+        with h5py.File(path) as store:
             dict(store.attrs)
         idata = az.from_netcdf(str(path), engine="h5netcdf")
-        check_size(idata, path)
         for group in idata.groups():  # in place; InferenceData's own method would load a copy
             idata[group].load()
         if idata.attrs.get("method") is not None and "draws" not in idata.attrs:

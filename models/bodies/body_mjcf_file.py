@@ -5,10 +5,11 @@ bodies' grids, plugins) is dropped before MuJoCo sees it. Includes and meshes ar
 alone, and handed over as bytes. Elements that multiply themselves are refused: MuJoCo can write them out.
 """
 
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, tostring
 
-from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES, check_root, nearby, parse, read_nearby
+from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS, check_root, nearby, parse, read_nearby
 from invdyn.models.bodies.scalars import BodyError
 
 SECTIONS = ("compiler", "option", "default", "asset", "worldbody", "contact", "equality", "tendon", "actuator")
@@ -29,7 +30,7 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
     """
     check_root(root, "mujoco", path)
     folder = Path(path).parent
-    _include(root, folder, path, {Path(path).resolve()}, 0)
+    _include(root, folder, path, _Included({Path(path).resolve()}), 0)
     told: dict[str, list[str]] = {}
     for each in root.iter():
         if each.tag in MULTIPLE or (each.tag == "mesh" and "builtin" in each.attrib):
@@ -51,7 +52,31 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
     return tostring(root, encoding="unicode"), meshes, told
 
 
-def _include(parent: Element, folder: Path, where: str, seen: set[Path], depth: int) -> None:
+@dataclass
+class _Included:
+    """The files so far, which have one limit together."""
+
+    paths: set[Path]
+    size: int = 0
+    elements: int = 0
+
+    def add(self, path: Path, content: bytes, where: str) -> Element:
+        """The root of one more file."""
+        self.paths.add(path)
+        self.size += len(content)
+        if len(self.paths) > DEEPEST:
+            raise BodyError(f"{where}: expected at most {DEEPEST} included files, got more")
+        if self.size > MOST_BYTES:
+            raise BodyError(f"{where}: expected at most {MOST_BYTES / 2**20:g} MiB in its included files, got more")
+
+        root = parse(content, str(path))
+        self.elements += sum(1 for _ in root.iter())
+        if self.elements > MOST_ELEMENTS:
+            raise BodyError(f"{where}: expected at most {MOST_ELEMENTS} elements in its included files, got more")
+        return root
+
+
+def _include(parent: Element, folder: Path, where: str, seen: _Included, depth: int) -> None:
     """Put included elements in the places of `<include>`; each file once, as MuJoCo has it."""
     if depth > DEEPEST:
         raise BodyError(f"{where}: expected at most {DEEPEST} elements within each other, got more")
@@ -62,12 +87,9 @@ def _include(parent: Element, folder: Path, where: str, seen: set[Path], depth: 
             children.append(child)
             continue
         path = nearby(child.get("file", ""), folder, where)
-        if path in seen:
+        if path in seen.paths:
             raise BodyError(f"{where}: includes '{path.name}' twice")
-        seen.add(path)
-        if len(seen) > DEEPEST:
-            raise BodyError(f"{where}: expected at most {DEEPEST} included files, got more")
-        other = parse(read_nearby(child.get("file", ""), folder, MOST_BYTES, where), str(path))
+        other = seen.add(path, read_nearby(child.get("file", ""), folder, MOST_BYTES, where), where)
         _include(other, folder, where, seen, depth + 1)
         children += other
     parent[:] = children

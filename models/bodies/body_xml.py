@@ -14,6 +14,8 @@ from invdyn.models.bodies.whole_file import read_whole
 
 MOST_BYTES = 2**24
 """Bytes of a file in XML or TOML."""
+MOST_ELEMENTS = 50_000
+"""Elements of a file and what it includes: MuJoCo takes up to 2.3 kB for each."""
 DEEPEST = 200
 """Elements within each other."""
 OTHERS = {
@@ -30,11 +32,13 @@ def is_xml(content: bytes) -> bool:
 
 def parse(content: bytes, where: str) -> Element:
     """The root of an XML text. Raises `BodyError`, which begins with `where`, for what is broken or without bounds."""
-    builder, open_tags = TreeBuilder(), 0
+    builder, open_tags, elements = TreeBuilder(), 0, 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal open_tags
-        open_tags += 1
+        nonlocal open_tags, elements
+        open_tags, elements = open_tags + 1, elements + 1
+        if elements > MOST_ELEMENTS:
+            raise BodyError(f"{where}: expected at most {MOST_ELEMENTS} elements, got more")
         if open_tags > DEEPEST:
             raise BodyError(f"{where}: expected at most {DEEPEST} elements within each other, got more")
         builder.start(tag, attributes)

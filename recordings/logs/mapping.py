@@ -32,13 +32,15 @@ from ..errors import InputError, about
 from ..toml_tables import read_toml
 from ..units import METRES, RADIANS, TIMES, Units
 from .lerobot_calibration import calibrated_range
-from .tracks import Episode, Track, track
+from .tracks import Episode, Needed, Track, track
 
 ENDS = (-100.0, 100.0)
 """Numbers that a log has at the ends of a joint's range."""
 ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
 SHIFTS = {**METRES, "m/s": 1.0, "cm/s": METRES["cm"], "mm/s": METRES["mm"]}
 TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.0980665, "A": 1.0, "mA": 1e-3}
+BY_NAME = {"angle": "position", "torque": "effort"}
+"""How the names of tracks end that need no mapping."""
 KEYS = {
     "angle": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
     "target": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
@@ -94,6 +96,11 @@ class LogMap:
     time: str | None = None
     second: float = 1.0
     units: Units = field(default_factory=lambda: Units(mapping="a mapping (--map)"))
+
+    def needed(self) -> Needed:
+        """The tracks that it names."""
+        sources = [source for joint in self.joints.values() for source in (joint.angle, joint.torque, joint.target)]
+        return Needed(frozenset(source.track for source in sources if source is not None))
 
     def rescaled(self, angle: float = 1.0, target: float = 1.0, time: float = 1.0) -> "LogMap":
         """The mapping in other units: angles, targets and times so many times as large, about the same zeros."""
@@ -157,14 +164,21 @@ class LogMap:
 
     @classmethod
     def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":
-        """What the tracks' own names say, as ROS's JointState has them. Raises InputError where they say nothing."""
+        """What the tracks' own names say, as ROS's JointState has them; targets are no measurements.
 
-        def named(joint: str, quantity: str) -> Source | None:
-            ends = f".{joint}.{quantity}"
-            found = [name for name in episode if name.endswith(ends)]
-            return Source(found[0]) if len(found) == 1 else None
+        Raises InputError where they say nothing, and where two tracks say the same.
+        """
 
-        found = {joint: JointMap(named(joint, "position"), named(joint, "effort")) for joint in joints}
+        def named(joint: str, kind: str) -> Source | None:
+            found = [n for n in episode if n.endswith(f".{joint}.{BY_NAME[kind]}") and not episode[n].target]
+            if len(found) > 1:
+                raise InputError(
+                    f"the {kind} of joint {joint!r} is in {len(found)} tracks, {found[0]!r} and {found[1]!r}: say "
+                    f'which by --map, [joints.{joint}] {kind} = "{found[0]}"'
+                )
+            return Source(found[0]) if found else None
+
+        found = {joint: JointMap(named(joint, "angle"), named(joint, "torque")) for joint in joints}
         if missing := [joint for joint, own in found.items() if own.angle is None]:
             known = ", ".join(list(episode)[:12])
             raise InputError(

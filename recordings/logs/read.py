@@ -10,18 +10,22 @@ from ..beside import TOGETHER
 from ..errors import InputError, about
 from ..recording import Recording
 from .lerobot import read_lerobot
-from .mapping import LogMap, Source
+from .mapping import BY_NAME, LogMap, Source
 from .mcap_file import read_mcap
 from .ros_bag import read_bag
 from .table import read_csv
-from .tracks import Episode, Track
+from .tracks import Episode, Needed, Track
 
-LOG_FORMATS: dict[str, Callable[[Path, str | None], list[Episode]]] = {
+LOG_FORMATS: dict[str, Callable[[Path, str | None, Needed | None], list[Episode]]] = {
     "csv": read_csv,
     "lerobot": read_lerobot,
     "mcap": read_mcap,
     "ros2": read_bag,
 }
+
+
+LONGEST_PAUSE = 1e7
+"""Usual steps between two rows, at most: 55 h at 50 rows/s."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,12 @@ def kind_of(path: Path) -> str | None:
     return {".csv": "csv", ".parquet": "lerobot", ".mcap": "mcap", ".db3": "ros2"}.get(path.suffix)
 
 
-def read_log(path: str | Path, time: str | None = None) -> list[Episode]:
-    """A log's tracks. Raises InputError for a kind that is not known, OSError where it cannot be read."""
+def read_log(path: str | Path, time: str | None = None, needed: Needed | None = None) -> list[Episode]:
+    """A log's tracks, ``time`` by the column of that name; of tracks that are not ``needed``, the names alone.
+
+    Raises InputError for a kind that is not known or one that costs more than its budget (:mod:`..budget`), OSError
+    where it cannot be read.
+    """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(2, "no such log", str(path))
@@ -48,7 +56,7 @@ def read_log(path: str | Path, time: str | None = None) -> list[Episode]:
         raise InputError(
             f"{path}: expected a log: .csv, .mcap, .parquet, the folder of a ROS 2 bag or of a LeRobot data set"
         )
-    return LOG_FORMATS[kind](path.parent if path.suffix == ".db3" else path, time)
+    return LOG_FORMATS[kind](path.parent if path.suffix == ".db3" else path, time, needed)
 
 
 def recordings_of(
@@ -64,7 +72,8 @@ def recordings_of(
     that has none of its own. ``scales`` are :meth:`.LogMap.rescaled`'s, of units other than the mapping's.
     Raises InputError for a log that is none, and tracks or episodes that it lacks.
     """
-    found = read_log(path, None if mapping is None else mapping.time)
+    needed = Needed(ends=tuple(f".{j}.{end}" for j in joints for end in BY_NAME.values()))
+    found = read_log(path, None if mapping is None else mapping.time, needed if mapping is None else mapping.needed())
     chosen = range(len(found)) if episodes is None else episodes
     if beyond := [number for number in chosen if not 0 <= number < len(found)]:
         raise InputError(f"{path}: no episode {beyond[0]}; it has {len(found)}, from 0 on")
@@ -88,6 +97,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
         raise InputError("expected angles of the joints, the mapping names none")
     rows = np.unique(np.concatenate([each.time for each in (*angles, *torques, *targets) if each is not None]))
     rows = rows[np.append(True, np.diff(rows) > TOGETHER)]
+    _check_pause(rows)
     commands = [each for each in (*torques, *targets) if each is not None]
     # before the first command nobody knows what drove it
     begin = max((float(each.time[0]) for each in commands), default=rows[0])
@@ -108,6 +118,17 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
         name=name,
     )
     return Logged(recording, columns(targets, True))
+
+
+def _check_pause(rows: np.ndarray) -> None:
+    """Raise InputError where times (N,) jump as no log's do: two clocks, or a time that is none."""
+    steps = np.diff(rows)
+    if len(steps) and steps.max() > LONGEST_PAUSE * (usual := float(np.median(steps))):
+        at = int(steps.argmax())
+        raise InputError(
+            f"its times jump from {rows[at]:.6g} to {rows[at + 1]:.6g}, in usual steps of {usual:.3g}: expected one "
+            "clock and no such pause; leave out the topic or the rows with other times"
+        )
 
 
 def _near(each: Track, rows: np.ndarray) -> np.ndarray:

@@ -14,18 +14,19 @@ from ..errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Values (N,) at times (N,) s, increasing."""
+    """Values (N,) at times (N,) s, increasing; `target` where they are what a controller wants, and not measured."""
 
     time: np.ndarray
     values: np.ndarray
+    target: bool = False
 
     @classmethod
-    def of(cls, time: np.ndarray, values: np.ndarray) -> "Track":
+    def of(cls, time: np.ndarray, values: np.ndarray, target: bool = False) -> "Track":
         """A track of rows in any order, of which several may have one time: the first of those counts."""
         time, values = np.asarray(time, dtype=np.float64), np.asarray(values, dtype=np.float64)
         use = np.isfinite(time)
         kept, first = np.unique(time[use], return_index=True)
-        return cls(kept, values[use][first])
+        return cls(kept, values[use][first], target)
 
     def held(self, time: np.ndarray) -> np.ndarray:
         """The last value at or before each time, NaN before the first."""
@@ -41,6 +42,25 @@ class Track:
 
 Episode = Mapping[str, Track]
 """Tracks by name."""
+
+
+@dataclass(frozen=True)
+class Needed:
+    """Which tracks are read: those of a mapping, and those whose names end as `ends` say.
+
+    Of what is not needed a reader gives the names, where it can, and no numbers.
+    """
+
+    tracks: frozenset[str] = frozenset()
+    ends: tuple[str, ...] = ()
+
+    def track(self, name: str) -> bool:
+        """Whether the track of that name is needed."""
+        return name in self.tracks or name.endswith(self.ends)
+
+    def source(self, name: str) -> bool:
+        """Whether a topic or column, whose tracks are called "NAME" or "NAME.…", may have one that is needed."""
+        return bool(self.ends) or name in self.tracks or any(each.startswith(f"{name}.") for each in self.tracks)
 
 
 def track(episode: Episode, name: str, where: str) -> Track:

@@ -12,10 +12,11 @@ import numpy as np
 import torch
 
 from ..atomic import atomic_path
+from ..budget import MEMORY
 from ..errors import InputError, first_line
 from ..paths import check_readable
 from .confidence import platt
-from .unet import UNet, peaks
+from .unet import UNet, activations, peaks
 
 SCHEMA = 1
 LARGEST = 4096  # px of a side of the pictures
@@ -92,7 +93,7 @@ class HeatmapTracker:
         try:
             described = json.loads(text)
             if described["schema"] != SCHEMA:
-                raise InputError(f"{path}: this network has schema {described['schema']}, expected {SCHEMA}")
+                raise InputError(f"this network has schema {described['schema']}, expected {SCHEMA}")
             names, widths = described["keypoint_names"], described["widths"]
             if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
                 raise ValueError("names of keypoints are texts, each once")
@@ -107,11 +108,25 @@ class HeatmapTracker:
             if len(mean) != 3 or len(deviation) != 3 or not 1 <= min(height, width) <= max(height, width) <= LARGEST:
                 raise ValueError(f"pictures of {height} × {width} px in {len(mean)} colours")
             tolerance = float(described["tolerance"])
-        except InputError:
-            raise
+            if not np.isfinite([*mean, *deviation, a, b, tolerance]).all() or min(deviation) <= 0 or a < 0:
+                raise ValueError("colours, calibration and tolerance are finite, deviations positive")
+            if not all(torch.isfinite(each).all() for each in network.state_dict().values()):
+                raise ValueError("weights are finite")
+            check_pictures((height, width), widths, len(names))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
         except (ValueError, KeyError, TypeError, RuntimeError, IndexError, OverflowError) as error:
             raise InputError(f"{path}: not a network of `invdyn train` ({first_line(error)})") from None
         return HeatmapTracker(network, names, (height, width), mean, deviation, (a, b), tolerance, widths)
+
+
+def check_pictures(size: Sequence[int], widths: Sequence[int], keypoints: int) -> None:
+    """Raise InputError for pictures of (height, width) px for which the network needs more memory than it may."""
+    if (needed := activations(size, widths, keypoints)) > MEMORY:
+        raise InputError(
+            f"pictures of {size[0]} × {size[1]} px take a network of {len(widths)} levels {needed / 2**30:.3g} GiB, "
+            f"expected at most {MEMORY / 2**30:g}: train it on smaller ones"
+        )
 
 
 def normalised(pictures: torch.Tensor, mean: Sequence[float], deviation: Sequence[float]) -> torch.Tensor:

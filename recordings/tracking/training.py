@@ -17,7 +17,7 @@ from ..errors import InputError, about
 from .augment import augment
 from .confidence import fit_platt, platt
 from .film import Film, read_pictures
-from .heatmap import LARGEST, HeatmapTracker, normalised
+from .heatmap import LARGEST, HeatmapTracker, check_pictures, normalised
 from .labels import Labels
 from .tracker import Keeper, Progress
 from .unet import UNet, peaks, targets
@@ -112,6 +112,7 @@ def train(
     def generator(step: int) -> torch.Generator:
         return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))
 
+    check_pictures(given.pictures.shape[1:3], widths, len(given.names))
     held, own = _split(len(given.pictures), generator(0))
     pictures = torch.from_numpy(given.pictures)
     points = torch.from_numpy(given.points).float()

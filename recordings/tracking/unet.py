@@ -47,6 +47,18 @@ class UNet(nn.Module):
         return self.head(y)
 
 
+def activations(size: Sequence[int], widths: Sequence[int], maps: int) -> int:
+    """Bytes, at most, of what a network has in memory for one picture of `size` (h, w) px, in float32.
+
+    A picture and its normalised copies have nine channels. On the way up level l, which has 4⁻⁽ˡ⁺¹⁾ of the picture's
+    cells, joins its own channels and those of the next level; maps exist three times, as values, logarithms and sums.
+    """
+    cells = 9.0
+    for level, (own, next_one) in enumerate(zip(widths, [*widths[1:], 0], strict=True)):
+        cells += (3 * own + 2 * next_one + (3 * maps if level == 0 else 0)) / 4 ** (level + 1)
+    return round(4 * size[0] * size[1] * cells)
+
+
 def targets(points: Tensor, shape: tuple[int, int], spread: float) -> Tensor:
     """(N, P, R, C) normalised Gaussian maps of points (N, P, 2) px; zero where a point is missing or outside.
 

@@ -112,6 +112,22 @@ def test_meshes_and_includes_in_the_folder_are_read(file, compiler, tmp_path):
     assert (link.length, link.com) == pytest.approx((2**-0.5, 2**0.5 / 4))
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (" " * 2**20, "at most 16 MiB in its included files"),
+        ("<a/>" * 30_000, "at most 50000 elements in its included"),
+    ],
+)
+def test_included_files_have_one_limit_together(content, message, tmp_path):
+    pytest.importorskip("mujoco")
+    for k in range(20):
+        (tmp_path / f"p{k}.xml").write_text(f"<mujocoinclude>{content}</mujocoinclude>")
+    includes = "".join(f'<include file="p{k}.xml"/>' for k in range(20))
+    with pytest.raises(BodyError, match=message):
+        load(f"<mujoco>{includes}<worldbody/></mujoco>", tmp_path / "arm.xml")
+
+
 def chain(count):
     """A URDF of so many links, one after the other."""
     heavy = '<inertial><mass value="1"/><inertia ixx="0.001" iyy="0.001" izz="0.001"/></inertial>'

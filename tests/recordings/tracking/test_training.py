@@ -87,6 +87,9 @@ def test_a_network_is_kept_whole(film, trained, tmp_path):
         ("picture_size", [float("inf"), 20]),
         ("mean", [1.0]),
         ("calibration", [1.0]),
+        ("calibration", [1.0, float("nan")]),
+        ("mean", [1.0, float("inf"), 1.0]),
+        ("deviation", [1.0, 0.0, 1.0]),
         ("tolerance", 10**400),
         ("keypoint_names", ["wrist", "wrist"]),
     ],
@@ -105,6 +108,21 @@ def test_a_network_that_claims_what_it_has_not(tmp_path, monkeypatch, key, value
 
     monkeypatch.setattr("invdyn.recordings.tracking.heatmap.UNet", without_memory)
     with pytest.raises(InputError, match="not a network of `invdyn train`"):
+        HeatmapTracker.load(tmp_path / "n")
+
+
+def test_pictures_for_which_a_network_needs_too_much_memory(tmp_path):
+    HeatmapTracker(UNet(2, (8, 12)), NAMES, (4000, 4000), [9.0] * 3, [9.0] * 3, widths=(8, 12)).save(tmp_path / "n")
+    with pytest.raises(InputError, match=r"n: pictures of 4000 × 4000 px take a network of 2 levels 1\.48 GiB"):
+        HeatmapTracker.load(tmp_path / "n")
+
+
+def test_weights_that_are_no_numbers(tmp_path):
+    network = UNet(2, (8, 12))
+    with torch.no_grad():
+        network.head.bias[0] = np.nan
+    HeatmapTracker(network, NAMES, (20, 20), [9.0] * 3, [9.0] * 3, widths=(8, 12)).save(tmp_path / "n")
+    with pytest.raises(InputError, match="weights are finite"):
         HeatmapTracker.load(tmp_path / "n")
 
 

@@ -1,0 +1,98 @@
+"""Files of others in bounded memory: a clear line or a reading, no traceback, nothing over budget, nothing left over.
+
+The inputs are those of `malformed.others`. A quick sample is read each time; 1,000, drawn by hypothesis, by
+`pytest -m long`.
+"""
+
+import random
+import shutil
+import sys
+from collections import Counter
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from malformed.bounded import Bounded
+from malformed.others import ALL, BOMB, EITHER, ODD, PATH, READ, REFUSE
+
+for module in ("mcap", "rosbags", "pyarrow", "safetensors", "mujoco"):
+    pytest.importorskip(module)
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds of a process as Linux has them")
+
+KINDS = (BOMB, PATH, ODD)
+FINE = {REFUSE: {"clear line"}, READ: {"read"}, EITHER: {"clear line", "read"}}
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory):
+    """Function of an input and a seed: its outcome. "silent" is a file that had to be refused and was read."""
+    folder = tmp_path_factory.mktemp("others")
+
+    with Bounded() as bounded:
+
+        def tried(hostile, seed):
+            own, temporary = folder / "own", folder / "temporary"
+            own.mkdir()
+            temporary.mkdir()
+            try:
+                path = hostile.make(own, random.Random(seed))
+                before = _tree(own)
+                found = bounded.read(hostile.reader, path, temporary)
+                if any(temporary.iterdir()) or _tree(own) != before:
+                    return found | {"outcome": "left over"}
+            finally:
+                shutil.rmtree(own)
+                shutil.rmtree(temporary)
+            if found["outcome"] == "read" and hostile.must == REFUSE:
+                return found | {"outcome": "silent"}
+            if found["outcome"] == "clear line" and hostile.must == READ:
+                return found | {"outcome": "refused"}
+            return found
+
+        yield tried
+
+
+def _tree(folder):
+    return {str(path.relative_to(folder)): path.lstat().st_size for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_input_once(tried, kind):
+    """All but those that take seconds, whose sizes are those of others."""
+    wrong = {}
+    for hostile in ALL:
+        if hostile.kind == kind and not hostile.costly:
+            found = tried(hostile, 0)
+            if found["outcome"] not in FINE[hostile.must]:
+                wrong[hostile.what] = found
+    assert not wrong
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_a_thousand_inputs(tried, capsys):
+    count = Counter()
+    wrong = {}
+    peak = 0
+
+    @given(hostile=st.sampled_from(ALL), seed=st.integers(0, 2**32))
+    @settings(max_examples=1000, database=None, suppress_health_check=list(HealthCheck))
+    def draw(hostile, seed):
+        nonlocal peak
+        found = tried(hostile, seed)
+        count[hostile.kind, "tried"] += 1
+        count[hostile.kind, found["outcome"]] += 1
+        peak = max(peak, found["peak"])
+        if found["outcome"] not in FINE[hostile.must]:
+            wrong[hostile.what, seed] = found
+
+    draw()
+    outcomes = ("tried", "clear line", "read", "traceback", "over budget", "left over", "silent")
+    others = sorted({outcome for _, outcome in count} - {*outcomes})
+    with capsys.disabled():
+        print(f"\n{'':22}" + "".join(f"{outcome:>13}" for outcome in (*outcomes, *others)))
+        for kind in KINDS:
+            print(f"{kind:22}" + "".join(f"{count[kind, outcome]:13}" for outcome in (*outcomes, *others)))
+        print(f"peak of memory {peak / 2**20:.0f} MiB")
+    assert not wrong
+    assert sum(count[kind, "tried"] for kind in KINDS) >= 900
