@@ -95,11 +95,7 @@ class Comparison:
     held_out: int
     isolated: bool
     recording: str
-
-    @property
-    def seed(self) -> int:
-        """Of every random number."""
-        ...
+    seed: int
 
     def to_dict(self) -> dict[str, Any]:
         """All but the posteriors, as JSON has it: None where there is no number."""

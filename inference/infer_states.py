@@ -115,7 +115,7 @@ def infer_states(
     cannot serve it; InputError for sizes that no machine has; SMCFailed where all particles have weight zero.
     """
     sizes = {"num_filters": num_filters, "num_particles": num_particles, "num_draws": num_draws}
-    given = {size: value for size, value in sizes.items() if value is not None}
+    given: dict[str, Any] = {size: value for size, value in sizes.items() if value is not None}
     options = SMCOptions(**given, device=device, filters_per_task=filters_per_task)
     if method in PARAMETER_METHODS:
         arguments = given | arguments

@@ -251,7 +251,7 @@ def _tried(
     for mistake in known():
         if moving[list(mistake.joints)].all():
             yield fit(mistake), mistake
-    for k in np.flatnonzero(moving) if encoders else ():
+    for k in np.flatnonzero(moving).tolist() if encoders else ():
         sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
         yield from _searched(partial(zero, int(k), sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
