@@ -251,15 +251,16 @@ def _tried(
     for mistake in known():
         if moving[list(mistake.joints)].all():
             yield fit(mistake), mistake
-    for k in np.flatnonzero(moving) if encoders else ():
+    turning = np.flatnonzero(moving).tolist()
+    for k in turning if encoders else ():
         sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
-        yield from _searched(partial(zero, int(k), sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
+        yield from _searched(partial(zero, k, sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
     for group in _groups(joints):
         if moving[list(group)].all() and len({by_target[k] for k in group}) == 1:
             made = partial(_scale, group, joints, by_target[group[0]])
             yield from _searched(made, fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
-    for k in np.flatnonzero(moving).tolist():
+    for k in turning:
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
         if abs(offset) > SMALL_OFFSET * np.sqrt((motion.torque[:, k] ** 2).mean()):

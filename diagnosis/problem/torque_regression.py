@@ -125,7 +125,7 @@ class Explained:
 def share(left: np.ndarray, asked: np.ndarray, joints: Sequence[int]) -> float:
     """Of what is ``asked`` (K,) of some joints, all if none, what is ``left`` (K,)."""
     of = list(joints) or slice(None)
-    return float(np.linalg.norm(left[of]) / max(np.linalg.norm(asked[of]), 1e-300))
+    return float(np.linalg.norm(left[of])) / max(float(np.linalg.norm(asked[of])), 1e-300)
 
 
 def smoothings(
