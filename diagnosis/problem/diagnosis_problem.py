@@ -155,14 +155,16 @@ class DiagnosisProblem:
 def diagnosis_problem(
     recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False, force: bool = False
 ) -> DiagnosisProblem:
-    """Bind one or several recordings to ``body``. Times are then counted from the first row, s.
+    """Bind one or several recordings to ``body``; each of several counts from its own first row.
 
     By ``force`` signs, zeros and units of torques that are surely wrong are warned of and not refused.
 
     Raises InputError where they do not fit; NotEnoughData for too few rows, or tracks that leave a pose open.
     """
     given = [recording] if isinstance(recording, Recording) else recording
-    recording, begins = joined([part for each in given for part in looked_at(_from_zero(each))])
+    if len(given) > 1:  # their clocks have no time in common
+        given = [replace(each, time=each.time - each.time[0]) for each in given]
+    recording, begins = joined([part for each in given for part in looked_at(each)])
     regime = regime_of(recording.torques, passive)
     uncertain = uncertain_numbers(body)
     if not regime.knows_torque and (untracked := _untracked(recording, body)):
@@ -202,11 +204,6 @@ def diagnosis_problem(
     model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
     model = model.in_substeps(sufficient_substeps(model, usual))
     return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
-
-
-def _from_zero(recording: Recording) -> Recording:
-    """The recording with its times from the first row on: of seconds since 1970 float32 has one in 128."""
-    return replace(recording, time=recording.time - recording.time[0])
 
 
 def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:

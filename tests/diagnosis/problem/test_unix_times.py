@@ -20,7 +20,7 @@ def test_a_problem_counts_from_the_first_row():
     plain = diagnosis_problem(recording, ARM)
     shifted = diagnosis_problem(replace(recording, time=recording.time + UNIX), ARM)
     torch.testing.assert_close(shifted.model.time, plain.model.time, rtol=0, atol=1e-6)
-    assert shifted.problem.recording.time[0] == 0
+    assert shifted.problem.origin == UNIX + recording.time[0]
     (first, *_), (second, *_) = (
         EFFECTS["external_push"]("wrist").bound(ARM).parameters(each.model.scale)[2:] for each in (plain, shifted)
     )
