@@ -18,7 +18,7 @@ from invdyn.cli import app
 GROUP = typer.main.get_command(app)
 COMMANDS = GROUP.commands
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
-TARGETS = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+TARGETS = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
 SHELL = {"python3 -m venv .venv", ". .venv/bin/activate"}
 """What the README's test environment is made by."""
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("0*.py"))
