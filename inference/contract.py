@@ -142,7 +142,7 @@ def _check_attributes(model: StateSpaceModel) -> None:
 
 
 def _check_parameters(model: StateSpaceModel) -> None:
-    """Finite numbers of one floating type on one device."""
+    """Numbers of one floating type on one device; a limit may be infinite."""
     label = f"{type(model).__name__}.parameters"
     devices = {str(value.device) for value in model.parameters.values()}
     if len(devices) > 1:
@@ -151,8 +151,8 @@ def _check_parameters(model: StateSpaceModel) -> None:
     if len(types) > 1:
         raise ModelError(f"{label}: expected one type, got {' and '.join(sorted(types))}: use model.to(torch.float64)")
     for key, value in model.parameters.items():
-        if not bool(torch.isfinite(value).all()):
-            raise ModelError(f"{label}[{key!r}]: expected finite numbers, got NaN or infinity: give it a value")
+        if bool(torch.isnan(value).any()):
+            raise ModelError(f"{label}[{key!r}]: expected numbers, got NaN: give it a value")
 
 
 def _rows(model: StateSpaceModel, observations: Any) -> Tensor:

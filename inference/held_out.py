@@ -38,6 +38,7 @@ class Continued(StateSpaceModel):
         self.model, self.first = model, first
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
         self.num_steps, self.jumping = model.num_steps - first, model.jumping
+        self.emission_about_mean = model.emission_about_mean
 
     def replace(self, **values: Tensor) -> Self:
         """Other values, of the whole model's parameters too."""

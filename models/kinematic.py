@@ -51,6 +51,8 @@ class KinematicModel(StateSpaceModel):
     body has no place for, and those whose errors last; KeyError for an unknown parameter.
     """
 
+    emission_about_mean = True
+
     def __init__(
         self,
         body: ArticulatedBody,

@@ -154,7 +154,7 @@ def read_trc(path: str | Path) -> Recording:
     with about(path):
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise InputError("not an OpenSim .trc file: it must begin with PathFileType and hold five header lines")
-        mark = "\t" if "\t" in lines[1] else ","
+        mark = "\t" if "\t" in lines[3] else ","
         header = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
         unit = header.get("Units", "").strip()
         if unit not in METRES:

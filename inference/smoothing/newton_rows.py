@@ -39,9 +39,11 @@ REACH = 1e3
 def keeps_noise(model: StateSpaceModel, path: Tensor, emission: Distribution) -> bool:
     """Whether ``emission`` is Gaussian or Student-t about a mean, with noise that does not depend on the state.
 
+    Or a model says that its noise is to be taken as it is (:attr:`.StateSpaceModel.emission_about_mean`).
+
     Compared at ``path`` (…, T, D), where ``emission`` is the model's, and a prior's standard deviation to either side.
     """
-    if isinstance(emission, RowDistribution):
+    if model.emission_about_mean or isinstance(emission, RowDistribution):
         return True
     noise, rows = _noise(emission), torch.arange(path.shape[-2])
     if noise is None:

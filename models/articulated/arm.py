@@ -78,6 +78,8 @@ class ArmModel(StateSpaceModel):
     the wrong shape, and sensors that the body has no place for; KeyError for an unknown parameter.
     """
 
+    emission_about_mean = True
+
     def __init__(
         self,
         body: ArticulatedBody,

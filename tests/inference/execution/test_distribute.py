@@ -153,7 +153,7 @@ def test_comparison(pool):
         spread_out = compare(SWING, ARM, methods, seed=4, executor=executor, **sizes)
         with pytest.raises(InputError, match="isolated"):
             compare(SWING, ARM, methods, isolate=True, executor=executor, **sizes)
-    measured = ["seconds", "memory"]
+    measured = ["seconds", "memory", "ess_per_second"]
     assert spread_out.table.drop(columns=measured).equals(alone.table.drop(columns=measured))
     assert {"recording": "swing", "seed": 4}.items() <= alone.to_dict().items()
 
