@@ -50,9 +50,10 @@ MISSED, BETTER, NEAR = 0.05, 0.55, 0.4
 """A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
 log which is right has, whatever its arm has besides."""
 CLEAN = 0.15
-"""Of the torques that a motion asks of joints, what may be left of theirs once a mistake of theirs is put right. Measured
-on 98 made logs (benchmarks/check.py): three right remedies, of arms with strong effects, leave .24 to .27, and two wrong
-ones .22 and .24; all other right ones leave less than .1."""
+"""Of the torques that a motion asks of joints, what may be left of theirs once a mistake of theirs is put right.
+
+Measured on 98 made logs (benchmarks/check.py): three right remedies, of arms with strong effects, leave .24 to .27, and
+two wrong ones .22 and .24; all other right ones leave less than .1."""
 STILL = 1e-6
 """rad, or m, between which a joint that does not move stays."""
 SAME_GEAR = 0.05

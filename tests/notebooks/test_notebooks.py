@@ -170,6 +170,15 @@ def test_my_robot_gets_a_corrected_file():
     assert "0.0125 kg·m², 76%" in text
 
 
+def test_any_state_space_model_runs_and_its_methods_agree():
+    notebook = jupytext.read(FOLDER / "08_any_state_space_model.py")
+    text = printed(run(notebook))
+    evidence = {name: float(value) for name, value in re.findall(r"^(smc|bootstrap) +(-\d+\.\d+)", text, re.M)}
+    assert abs(evidence["smc"] - evidence["bootstrap"]) < 0.5
+    assert "Poisson predicts better" in text
+    assert figures(notebook) == 1
+
+
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("0*.py")), ids=lambda file: file.stem)
 def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     cells = jupytext.read(file).cells
