@@ -1,10 +1,12 @@
 """The noise of what was recorded, from what a smooth motion cannot explain: differences of a high order.
 
-The noise of a point in d dimensions is one number σ for all axes, from the median length of vectors σ ν,
+The noise of a point in d dimensions is the largest along its principal axes, 1.4826 times the median absolute value.
+So it does not depend on how the recording's axes are turned. The principal axes are those of the vectors' directions,
+which far ones do not sway:
 
-    σ = median |σ ν| / √(median of χ² with d degrees of freedom),
+    S = Σ_i v_i v_iᵀ / |v_i|²,   σ = max over eigenvectors u of S of 1.4826 median |uᵀ v_i|
 
-so that it does not depend on how the axes are turned. With d = 1 this is 1.4826 times the median absolute deviation.
+(Visuri, Koivunen & Oja 2000, "Sign and rank covariance matrices", J. Statist. Plann. Inference 91, 557–575).
 
 Shapes: columns (T, C) of C numbers in T rows; points (T, P, d). NaN where missing.
 """
@@ -12,7 +14,6 @@ Shapes: columns (T, C) of C numbers in T rows; points (T, P, d). NaN where missi
 import math
 
 import numpy as np
-from scipy.stats import chi2
 
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
@@ -31,19 +32,22 @@ def jitter(columns: np.ndarray) -> np.ndarray:
 
 
 def point_jitter(points: np.ndarray) -> np.ndarray:
-    """Noise sd of an axis of each of points (T, P, d), (P,), whichever way the axes are turned; see :func:`jitter`."""
+    """Noise sd of points (T, P, d), (P,), whichever way the axes are turned; see :func:`jitter`."""
     return np.array([robust_sd(differences(seen_vectors(point))) for point in points.swapaxes(0, 1)])
 
 
 def robust_sd(vectors: np.ndarray) -> float:
-    """Sd of an axis of Gaussian vectors (n, d) about 0, from their median length; 0 of none."""
+    """Sd of vectors (n, d) about 0 along the principal axis that has most; see the top of the file. 0 of none."""
     if not len(vectors):
         return 0.0
-    return float(np.median(np.linalg.norm(vectors, axis=-1)) / math.sqrt(chi2.median(vectors.shape[-1])))
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    signs = vectors / np.where(lengths > 0, lengths, 1.0)
+    _, axes = np.linalg.eigh(signs.T @ signs)
+    return float(1.4826 * np.median(np.abs(vectors @ axes), axis=0).max())
 
 
 def seen_vectors(vectors: np.ndarray) -> np.ndarray:
-    """Rows of vectors (T, d) that are seen whole; without axes that are seen in less than half of the best one's."""
+    """Rows of vectors (T, d) that are seen whole, without axes that are seen in less than half as many as the best."""
     seen = np.isfinite(vectors).sum(0)
     used = vectors[:, 2 * seen >= seen.max()]
     return used[np.isfinite(used).all(-1)]
