@@ -269,7 +269,7 @@ def _start_values(
     sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, observations, observation)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
-    values["noise.velocity"] = 1e-3
+    values["noise.velocity"] = 1e-3  # rad/s, slack as well
     candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
