@@ -273,9 +273,9 @@ def _start_values(
     candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
-        seen = np.flatnonzero(np.isfinite(rows).any(1))
-        shown = slice(seen[0], max(seen[-1], seen[0] + 1) + 1)  # beyond it goes on as it came
-        speed = np.abs(np.diff(middle[shown], axis=0) / np.diff(time[shown])[:, None])
+        last = max(1, int(np.flatnonzero(np.isfinite(rows).any(1))[-1]))
+        known = slice(last + 1)  # rows after the last one seen only predict
+        speed = np.abs(np.diff(middle[known], axis=0) / np.diff(time[known])[:, None])
         values["initial.angle"] = middle[0]
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)

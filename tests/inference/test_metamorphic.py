@@ -516,4 +516,5 @@ def test_turned_about_an_axis_in_space(tmp_path):
     known = {"torque.decay": 5.0}
     one = infer(recording, body(np.eye(3)), settings=known, **SMALL)
     other = infer(moved(recording, matrix), body(matrix), settings=known, **SMALL)
-    assert_same(one, other)
+    # Inverse kinematics stops at 1e-3 rad of a step, elsewhere.
+    assert_same(one, other, tolerance=1e-4)
