@@ -32,7 +32,7 @@ from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.models.observation.observation import Observation
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
-"""q, rad/s/√s, from a slow robot to a whirling limb."""
+"""q, rad/s/√s, from a slow robot to a whirling limb: a prior about limbs, whatever gravity and lengths are."""
 GATE = 4.0
 """Standard deviations from its prediction beyond which an angle is left out, where what strays matters."""
 

@@ -86,7 +86,7 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     speed = np.linalg.norm(velocity, axis=-1)
     sizes, along, whole = [], [], []
     for c in range(track.shape[-1]):
-        sizes.append(np.abs(differences(track[:, c])))
+        sizes.append(np.abs(differences(track[:, [c]])[:, 0]))
         # The middle of the rows that a difference is of.
         middle = slice((len(track) - len(sizes[c])) // 2, (len(track) - len(sizes[c])) // 2 + len(sizes[c]))
         along.append(np.abs(velocity[middle, c]))

@@ -21,7 +21,7 @@ from torch import Tensor
 from invdyn.inference.posterior.arm_contents import arm_contents
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, poles
-from invdyn.inference.posterior.jitter import jitter
+from invdyn.inference.posterior.jitter import jitter, point_jitter, robust_sd, seen_vectors
 from invdyn.inference.posterior.lengths import with_observed_lengths
 from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import (
@@ -38,7 +38,7 @@ from invdyn.models import (
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
-from invdyn.models.observation.pixels import USUAL_BIAS
+from invdyn.models.observation.pixels import USUAL_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
@@ -239,12 +239,21 @@ def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observat
         return np.maximum(jitter(rows[:, observation.part(observation.encoders)]), 1e-6)
     if (pixels := observation.pixels) is not None:
         # What lasts of a tracker's errors is no jitter, and several pixels as a rule.
-        noise = pixels.resolution * np.maximum(jitter(rows[:, observation.part(pixels)]), USUAL_BIAS)
+        noise = pixels.resolution * np.maximum(sensor_jitter(observation, pixels, rows), USUAL_BIAS)
     elif observation.keypoints is not None:
-        noise = jitter(rows[:, observation.part(observation.keypoints)])
+        noise = sensor_jitter(observation, observation.keypoints, rows)
     else:
         return np.ones(body.num_joints)
     return np.clip(1.5 * noise.max() / dynamics_for(body).levers(body.parameters()).numpy(), 1e-6, 1.0)
+
+
+def sensor_jitter(observation: Observation, sensor: Sensor, rows: np.ndarray) -> np.ndarray:
+    """Noise sd (n,) of a sensor's columns in rows (T, O); all axes of a point have the same, that of the point."""
+    columns = rows[:, observation.part(sensor)]
+    if not isinstance(sensor, Keypoints | Pixels):
+        return jitter(columns)
+    axes = sensor.shape[-1]
+    return point_jitter(columns.reshape(len(columns), -1, axes)).repeat(axes)
 
 
 def _start_values(
@@ -256,15 +265,17 @@ def _start_values(
     rows = observations.numpy()
     values: dict[str, Any] = {}
     for sensor in observation.sensors:
-        values |= sensor.started(jitter(rows[:, observation.part(sensor)]), reach)
+        values |= sensor.started(sensor_jitter(observation, sensor, rows), reach)
     sd = values["emission.angle_scale"] if observation.encoders else _angle_sd(body, observations, observation)
     # Slack in the kinematics, well under what can be seen of it.
     values["noise.angle"] = float(np.clip(0.1 * np.min(sd), 1e-6, 1e-3))
-    values["noise.velocity"] = 1e-3
+    values["noise.velocity"] = 1e-3  # rad/s, slack as well
     candidates = joint_angle_candidates(body, time, observations, observation, numbers, sd)
     if candidates is not None:
         middle = candidates[len(candidates) // 2]
-        speed = np.abs(np.diff(middle, axis=0) / np.diff(time)[:, None])
+        last = max(1, int(np.flatnonzero(np.isfinite(rows).any(1))[-1]))
+        known = slice(last + 1)  # rows after the last one seen only predict
+        speed = np.abs(np.diff(middle[known], axis=0) / np.diff(time[known])[:, None])
         values["initial.angle"] = middle[0]
         values["initial.angle_scale"] = 0.5
         values["initial.velocity_scale"] = np.maximum(2 * np.quantile(speed, 0.95, axis=0), 0.5)
@@ -275,9 +286,10 @@ def _start_values(
             # What rigid links cannot explain is observation noise to begin with.
             sites = keypoints.tracked(dynamics.keypoints(torch.as_tensor(middle), numbers)).numpy()
             off = observation.points(rows) - sites
-            misfit = 1.4826 * np.nanmedian(np.abs(off), axis=0).max(axis=1)
-            least = jitter(rows[:, observation.part(keypoints)]).reshape(keypoints.shape).max(axis=1)
-            values["emission.keypoint_scale"] = np.clip(misfit, least, 0.3 * reach)
+            misfit = np.array([robust_sd(seen_vectors(each)) for each in off.swapaxes(0, 1)])
+            least = point_jitter(observation.points(rows))
+            usual = keypoints.defaults(reach)["emission.keypoint_scale"].numpy()  # of those that no row shows
+            values["emission.keypoint_scale"] = np.where(misfit > 0, np.clip(misfit, least, 0.3 * reach), usual)
             if keypoints.confidence is not None:
                 values["emission.confidence_drop"] = confidence_drop(off, keypoints.confidence.drop.numpy())
     return values

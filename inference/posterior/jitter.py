@@ -1,6 +1,14 @@
 """The noise of what was recorded, from what a smooth motion cannot explain: differences of a high order.
 
-Shapes: columns (T, C) of C numbers in T rows, NaN where missing.
+The noise of a point in d dimensions is the largest along its principal axes, 1.4826 times the median absolute value.
+So it does not depend on how the recording's axes are turned. The principal axes are those of the vectors' directions,
+which far ones do not sway:
+
+    S = Σ_i v_i v_iᵀ / |v_i|²,   σ = max over eigenvectors u of S of 1.4826 median |uᵀ v_i|
+
+(Visuri, Koivunen & Oja 2000, "Sign and rank covariance matrices", J. Statist. Plann. Inference 91, 557–575).
+
+Shapes: columns (T, C) of C numbers in T rows; points (T, P, d). NaN where missing.
 """
 
 import math
@@ -20,12 +28,33 @@ def jitter(columns: np.ndarray) -> np.ndarray:
 
     Rows without a value are passed over: a recording may have commands, and nothing else, in most of them.
     """
-    found = [differences(column[np.isfinite(column)]) for column in columns.T]
-    return np.array([1.4826 * np.median(np.abs(each)) if len(each) else 0.0 for each in found])
+    return point_jitter(columns[..., None])
 
 
-def differences(column: np.ndarray) -> np.ndarray:
-    """n-th differences of values (T,), (T − n,), as large as the noise in them; none of too few values.
+def point_jitter(points: np.ndarray) -> np.ndarray:
+    """Noise sd of points (T, P, d), (P,), whichever way the axes are turned; see :func:`jitter`."""
+    return np.array([robust_sd(differences(seen_vectors(point))) for point in points.swapaxes(0, 1)])
+
+
+def robust_sd(vectors: np.ndarray) -> float:
+    """Sd of vectors (n, d) about 0 along the principal axis that has most; see the top of the file. 0 of none."""
+    if not len(vectors):
+        return 0.0
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    signs = vectors / np.where(lengths > 0, lengths, 1.0)
+    _, axes = np.linalg.eigh(signs.T @ signs)
+    return float(1.4826 * np.median(np.abs(vectors @ axes), axis=0).max())
+
+
+def seen_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Rows of vectors (T, d) that are seen whole, without axes that are seen in less than half as many as the best."""
+    seen = np.isfinite(vectors).sum(0)
+    used = vectors[:, 2 * seen >= seen.max()]
+    return used[np.isfinite(used).all(-1)]
+
+
+def differences(vectors: np.ndarray) -> np.ndarray:
+    """n-th differences of vectors (T, d), (T − n, d), as large as the noise in them; none of too few rows.
 
     Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
     to them falls with n, so that the order with the least of them counts. Of a very fast one it falls beyond ``ORDERS``
@@ -33,13 +62,13 @@ def differences(column: np.ndarray) -> np.ndarray:
     """
 
     def scaled(n: int) -> np.ndarray:
-        return np.diff(column, n=n) / math.sqrt(math.comb(2 * n, n))
+        return np.diff(vectors, n=n, axis=0) / math.sqrt(math.comb(2 * n, n))
 
-    orders = [n for n in ORDERS if len(column) > n]
-    found = min((scaled(n) for n in orders), key=lambda each: np.median(np.abs(each)), default=np.empty(0))
-    for higher in (scaled(n) for n in HIGHER if len(column) > 2 * n):
+    orders = [n for n in ORDERS if len(vectors) > n]
+    found = min((scaled(n) for n in orders), key=robust_sd, default=vectors[:0])
+    for higher in (scaled(n) for n in HIGHER if len(vectors) > 2 * n):
         ratio = math.exp(-SURELY * math.sqrt(MEDIAN / len(higher)))
-        if not np.median(np.abs(higher)) < ratio * np.median(np.abs(found)):
+        if not robust_sd(higher) < ratio * robust_sd(found):
             break
         found = higher
     return found

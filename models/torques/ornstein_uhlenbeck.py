@@ -13,6 +13,9 @@ How much noise one step of length δ carries is a choice, by name:
 A recording may begin in the middle of a motion: with ``underway`` the sd of τ_0 is larger than the stationary one, by
 "torque.initial_scale" (N·m) in quadrature. Motors that act late still do, for a while, what they were told before.
 
+By default λ = 5/s: what moves a limb or a robot changes within a fifth of a second, whatever gravity and lengths are.
+This prior has a unit. An arm that moves half as fast in a quarter of gravity is another arm to it, unless λ is halved.
+
 "printed" is the paper's covariance δ²σ²; its torque becomes smooth as δ → 0, so its σ belongs
 to one frame rate. "wiener" is Euler–Maruyama with a true Wiener increment; "exact" is the
 process itself, the right one for irregular or coarse sampling.

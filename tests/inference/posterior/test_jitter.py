@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from invdyn.inference.posterior.jitter import ORDERS, jitter
+from invdyn.inference.posterior.jitter import ORDERS, jitter, point_jitter
 
 
 def test_noise_is_estimated_beside_a_fast_motion():
@@ -41,3 +41,27 @@ def test_noise_of_gaps_and_of_too_few():
     found = jitter(np.stack([column, few], -1))
     assert found[0] == pytest.approx(0.1, rel=0.1)
     assert found[1] == 0.0
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_noise_of_a_point_does_not_depend_on_the_axes(dimensions):
+    """Also where one direction has ten times the noise; columns by themselves would see it in others as well."""
+    rng = np.random.default_rng(3)
+    matrix = np.linalg.qr(rng.standard_normal((dimensions, dimensions)))[0]
+    noise = 0.01 * rng.standard_normal((400, 2, dimensions))
+    noise[:, 1, 0] *= 10
+    found, turned = point_jitter(noise), point_jitter(noise @ matrix.T)
+    np.testing.assert_allclose(turned, found, rtol=1e-9)
+    assert found == pytest.approx([0.01, 0.1], rel=0.15)
+    columns = [jitter(each.reshape(400, -1)).reshape(2, dimensions).max(1) for each in (noise, noise @ matrix.T)]
+    assert not np.allclose(*columns, rtol=0.02)
+
+
+def test_an_axis_that_is_hardly_seen_does_not_hide_the_others():
+    rng = np.random.default_rng(4)
+    points = 0.01 * rng.standard_normal((300, 2, 2))
+    points[:, 0, 1] = np.nan
+    points[::9, 1, 1] = np.nan
+    points[:250, 1, 0] = np.nan
+    assert point_jitter(points) == pytest.approx([0.01, 0.01], rel=0.3)
+    assert point_jitter(np.full((9, 1, 2), np.nan)) == [0.0]

@@ -1,0 +1,521 @@
+"""What must not change when a question is put differently: metamorphic relations of `infer` and `infer_states`.
+
+A recording that is turned, scaled, shifted or renamed with its body has an answer that follows from the first one
+exactly, so no truth is needed (Chen, Cheung & Yiu 1998, "Metamorphic testing: a new approach for generating next test
+cases"). Laplace's method has no Monte Carlo error here: draws are compared one by one.
+"""
+
+import json
+import math
+import os
+from concurrent.futures import ProcessPoolExecutor, wait
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import SMCOptions, infer, infer_states, pooled, prepare
+from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, load_body
+from invdyn.models.bodies.mjcf_writer import write_mjcf
+from invdyn.models.linear_gaussian import LinearGaussian
+from invdyn.recordings import Recording, load
+from invdyn.recordings.joined import joined
+from invdyn.recordings.keypoint_csv import write_keypoint_csv
+
+EXACT = 1e-6
+"""Relative tolerance: the search for parameters repeats its steps, and rounding is all that differs."""
+
+STEP = 1 / 64  # s, so that sums of times have no rounding
+ROWS = 24
+NOISE = 0.005
+TIPS, JOINTS = ("elbow", "wrist"), ("shoulder", "elbow")
+
+SMALL = {"method": "laplace", "num_filters": 2, "num_draws": 3, "seed": 1}
+PARTICLES = {"method": "smc", "num_filters": 4, "num_particles": 20, "num_draws": 2, "seed": 1}
+KNOWN = {"torque.scale": 5.0, "torque.decay": 2.0, "emission.keypoint_scale": NOISE, "noise.velocity": 0.01}
+
+
+def arm(lengths=(0.35, 0.3), masses=(1.5, 1.0), tips=TIPS, joints=JOINTS, **options):
+    """An arm of two uniform rods."""
+    links = [
+        Link(f"link{k}", joint, tip, length=length, mass=mass)
+        for k, (joint, tip, length, mass) in enumerate(zip(joints, tips, lengths, masses, strict=True))
+    ]
+    return Body("arm", links, **options)
+
+
+ARM = arm()
+
+
+def swing(rows=ROWS, seed=0):
+    """Angles (T, 2) of a limb that swings, at times (T,), and its keypoints with noise."""
+    time = STEP * np.arange(rows)
+    angle = np.array([-1.2, 0.8]) + np.array([0.5, 0.6]) * np.sin(np.outer(time, [2.0, 3.0]))
+    model = ArmModel(ARM, time)
+    tips = model.dynamics.keypoints(torch.as_tensor(angle), model.body_parameters()).numpy()
+    points = tips + NOISE * np.random.default_rng(seed).normal(size=tips.shape)
+    return angle, Recording(time, points, TIPS, name="swing")
+
+
+ANGLE, SWING = swing()
+ENCODED = replace(
+    SWING,
+    keypoints=np.empty((ROWS, 0, 2)),
+    keypoint_names=(),
+    angles=ANGLE + 1e-3 * np.random.default_rng(3).normal(size=ANGLE.shape),
+    joint_names=JOINTS,
+)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The answer that all others are compared with."""
+    return infer(SWING, ARM, **SMALL)
+
+
+@pytest.fixture(scope="module")
+def encoded():
+    """The same of encoders."""
+    return infer(ENCODED, ARM, **SMALL)
+
+
+def evidence(idata):
+    """Log p(y), nats."""
+    return idata.attrs["log_evidence"]
+
+
+def fitted(idata, name):
+    """A fitted parameter (K,)."""
+    return np.array(json.loads(idata.attrs["settings"])["fitted"][name])
+
+
+def draws(idata, name="torque"):
+    """Draws (S, …) of a variable."""
+    return pooled(idata)[name].values
+
+
+def assert_same(one, other, *, torque=1.0, shift=0.0, tolerance=EXACT):
+    """The second answer is the first one with torques times ``torque`` and ``shift`` more nats of evidence."""
+    assert evidence(other) == pytest.approx(evidence(one) + shift, rel=tolerance)
+    expected = torque * draws(one)
+    size = np.sqrt(np.mean(expected**2))
+    np.testing.assert_allclose(draws(other), expected, atol=tolerance * size, rtol=0)
+
+
+def bits(idata):
+    """All numbers of a posterior."""
+    groups = {group: idata[group].data_vars for group in idata.groups()}
+    return {(group, name): own[name].values.tobytes() for group, own in groups.items() for name in own}
+
+
+def mode(recording, body, **options):
+    """The most likely torques (T, K), by the fit that `infer` begins with."""
+    task = prepare(recording, body, options=SMCOptions(2, 2, 2), seed=1, **options)
+    return task.path[:, : body.num_joints].numpy()
+
+
+def turned(degrees, dimensions=2):
+    """A rotation in the plane of x and y."""
+    angle = np.deg2rad(degrees)
+    cos, sin = np.cos(angle), np.sin(angle)
+    matrix = np.eye(dimensions)
+    matrix[:2, :2] = [[cos, -sin], [sin, cos]]
+    return matrix
+
+
+def moved(recording, matrix=None, shift=0.0):
+    """The recording with keypoints R p + s."""
+    points = recording.keypoints if matrix is None else recording.keypoints @ matrix.T
+    return replace(recording, keypoints=points + shift)
+
+
+# -- space -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [37, 170])
+def test_gravity_and_recording_turned(plain, degrees):
+    matrix = turned(degrees)
+    other = infer(moved(SWING, matrix), arm(gravity=matrix @ ARM.gravity), **SMALL)
+    assert_same(plain, other)
+    turn = draws(other, "angle") - draws(plain, "angle") - np.deg2rad([degrees, 0])
+    np.testing.assert_allclose(np.sin(turn / 2), 0, atol=EXACT)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("family", ["student_t", "multivariate_t"])
+def test_turned_with_heavy_tails(family):
+    """Student-t noise of each entry belongs to the axes; that of a whole keypoint does not."""
+    matrix = turned(37)
+    one = infer(SWING, ARM, family=family, **SMALL)
+    other = infer(moved(SWING, matrix), arm(gravity=matrix @ ARM.gravity), family=family, **SMALL)
+    if family == "multivariate_t":
+        assert_same(one, other)
+    else:
+        assert evidence(one) != pytest.approx(evidence(other), abs=1e-3)
+
+
+def test_mirrored(plain):
+    mirror = np.diag([-1.0, 1.0])
+    image = moved(SWING, mirror)
+    other = infer(image, ARM, **SMALL)
+    assert evidence(other) == pytest.approx(evidence(plain), rel=EXACT)
+    one, two = mode(SWING, ARM), mode(image, ARM)
+    np.testing.assert_allclose(two, -one, atol=EXACT * np.abs(one).max())
+
+
+def test_moved_elsewhere(plain):
+    shift = np.array([3.0, -2.0])
+    assert_same(plain, infer(moved(SWING, shift=shift), arm(base=shift), **SMALL))
+
+
+@pytest.mark.parametrize("factor", [10.0, 1 / 0.65])
+def test_lengths_in_another_unit(plain, factor):
+    """In decimetres, or in lengths of the body: torques go with the square, a density by the number of entries."""
+    body = arm(lengths=factor * np.array([0.35, 0.3]), gravity=factor * np.array(ARM.gravity))
+    other = infer(SWING.scaled(factor, "body length"), body, **SMALL)
+    assert_same(plain, other, torque=factor**2, shift=-SWING.keypoints.size * math.log(factor))
+
+
+def test_masses_scaled_with_torques(plain):
+    body = arm(masses=3.0 * np.array([1.5, 1.0]))
+    assert_same(plain, infer(SWING, body, **SMALL), torque=3.0)
+
+
+# -- time ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("begin", [1e3, 1.7e9])
+def test_times_shifted(plain, begin):
+    """Also to seconds since 1970: times that are whole 64ths stay exact, and so do all bits."""
+    other = infer(replace(SWING, time=SWING.time + begin), ARM, **SMALL)
+    assert bits(other) == bits(plain)
+
+
+SLOW = replace(SWING, time=2 * SWING.time)
+LIGHT = arm(gravity=np.array(ARM.gravity) / 4)
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="priors about limbs and motors have times in them: torques that last a fifth of a second (torque.decay), "
+    "and how fast a limb turns before anything is fitted (AGILITY)",
+)
+def test_time_doubled_with_a_quarter_of_gravity(plain):
+    assert_same(plain, infer(SLOW, LIGHT, **SMALL), torque=0.25)
+
+
+def test_time_doubled_with_all_times_given():
+    """The model itself has no time of its own: with its priors scaled as well the answer is."""
+    start = {"emission.keypoint_scale": NOISE, "initial.angle": ANGLE[0], "initial.angle_scale": 0.5}
+    fast = {"noise.velocity": 1e-3, "initial.velocity_scale": 3.0, **start}
+    slow = {"noise.velocity": 5e-4, "initial.velocity_scale": 1.5, **start}
+    one = infer(SWING, ARM, torque=OrnsteinUhlenbeck(decay=5.0), settings=fast, **SMALL)
+    other = infer(SLOW, LIGHT, torque=OrnsteinUhlenbeck(decay=2.5), settings=slow, **SMALL)
+    assert_same(one, other, torque=0.25)
+    assert fitted(other, "torque.decay") == pytest.approx(fitted(one, "torque.decay") / 2, rel=EXACT)
+
+
+# -- tables and names ------------------------------------------------------------------------------------------
+
+
+def test_single_precision_columns(plain):
+    """They are numbers like others, and what their rounding changes is far below the noise."""
+    single = SWING.keypoints.astype(np.float32)
+    other = infer(replace(SWING, keypoints=single), ARM, **SMALL)
+    assert bits(other) == bits(infer(replace(SWING, keypoints=single.astype(np.float64)), ARM, **SMALL))
+    assert_same(plain, other, tolerance=1e-4)
+
+
+def test_keypoint_columns_permuted(plain):
+    permuted = replace(SWING, keypoints=SWING.keypoints[:, ::-1], keypoint_names=TIPS[::-1])
+    assert_same(plain, infer(permuted, ARM, **SMALL))
+
+
+@pytest.mark.parametrize("tips", [("Ellenbogen", "hand 2"), ("wrist", "elbow")], ids=["new", "exchanged"])
+def test_joints_and_keypoints_renamed(plain, tips):
+    """New names, or the two that exist exchanged in body and recording."""
+    body = arm(tips=tips, joints=("root", tips[0]))
+    other = infer(replace(SWING, keypoint_names=tips), body, **SMALL)
+    assert_same(plain, other)
+    assert tuple(other["posterior"]["joint"].values) == ("root", tips[0])
+
+
+def test_encoder_columns_permuted(encoded):
+    permuted = replace(ENCODED, angles=ENCODED.angles[:, ::-1], joint_names=JOINTS[::-1])
+    assert bits(infer(permuted, ARM, **SMALL)) == bits(encoded)
+
+
+def test_a_keypoint_that_is_never_seen(encoded, plain):
+    """Neither the base's nor a tip's changes anything."""
+    missing = np.full((ROWS, 1, 2), np.nan)
+    other = infer(replace(ENCODED, keypoints=missing, keypoint_names=("wrist",)), ARM, **SMALL)
+    assert_same(encoded, other)
+    based = np.concatenate([missing, SWING.keypoints], 1)
+    assert_same(plain, infer(replace(SWING, keypoints=based, keypoint_names=("shoulder", *TIPS)), ARM, **SMALL))
+
+
+def test_missing_rows_at_the_end_only_predict(plain):
+    """What follows the last row that is seen tells nothing of those before."""
+    more = 6
+    time = STEP * np.arange(ROWS + more)
+    points = np.concatenate([SWING.keypoints, np.full((more, 2, 2), np.nan)])
+    longer = replace(SWING, time=time, keypoints=points)
+    assert evidence(infer(longer, ARM, **SMALL)) == pytest.approx(evidence(plain), rel=EXACT)
+    one, two = mode(SWING, ARM), mode(longer, ARM)
+    np.testing.assert_allclose(two[:ROWS], one, atol=1e-4 * np.abs(one).max())
+
+
+def test_split_and_joined(plain):
+    whole, _ = joined([SWING.select(0, 10), SWING.select(10, ROWS)])
+    np.testing.assert_array_equal(whole.time, SWING.time)
+    assert bits(infer(whole, ARM, **SMALL)) == bits(plain)
+
+
+def test_written_and_read_again(plain, encoded, tmp_path):
+    for recording, idata in ((SWING, plain), (ENCODED, encoded)):
+        path = tmp_path / "swing.csv"
+        write_keypoint_csv(recording, path)
+        assert bits(infer(load(path), ARM, **SMALL)) == bits(idata)
+
+
+def test_degrees_and_millimetres(tmp_path):
+    both = replace(ENCODED, keypoints=SWING.keypoints, keypoint_names=TIPS)
+    path = tmp_path / "both.csv"
+    write_keypoint_csv(replace(both, keypoints=1000 * both.keypoints, angles=np.rad2deg(both.angles)), path)
+    assert_same(infer(both, ARM, **SMALL), infer(load(path, units="mm,deg"), ARM, **SMALL))
+
+
+# -- bodies ----------------------------------------------------------------------------------------------------
+
+TOML = """name = "arm"
+[[links]]
+name = "link0"
+joint = "shoulder"
+tip = "elbow"
+length = 0.35
+mass = 1.5
+[[links]]
+name = "link1"
+joint = "elbow"
+tip = "wrist"
+length = 0.3
+mass = 1.0
+"""
+
+
+def urdf_link(name, length, mass):
+    """A rod that hangs down."""
+    moment = mass * length**2 / 12
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0 0 {-length / 2}"/><mass value="{mass}"/><inertia ixx="{moment}" '
+        f'iyy="{moment}" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def urdf_joint(name, kind, parent, child, height):
+    """A hinge about −y, or a fixed joint."""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<axis xyz="0 -1 0"/><origin xyz="0 0 {height}"/></joint>'
+    )
+
+
+URDF = "\n".join(
+    [
+        '<robot name="arm"><link name="base"/><link name="wrist"/>',
+        urdf_link("link0", 0.35, 1.5),
+        urdf_link("link1", 0.3, 1.0),
+        urdf_joint("shoulder", "continuous", "base", "link0", 0.0),
+        urdf_joint("elbow", "continuous", "link0", "link1", -0.35),
+        urdf_joint("tip", "fixed", "link1", "wrist", -0.3),
+        "</robot>",
+    ]
+)
+
+
+def test_a_body_in_any_format(plain, tmp_path):
+    (tmp_path / "arm.toml").write_text(TOML)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    write_mjcf(ARM, tmp_path / "arm.xml")
+    for name in ("arm.toml", "arm.urdf", "arm.xml"):
+        body = Body.load(tmp_path / name)
+        recording = replace(SWING, keypoint_names=body.keypoint_names)
+        assert_same(plain, infer(recording, body, **SMALL))
+
+
+# -- commands --------------------------------------------------------------------------------------------------
+
+
+def test_no_command_and_one_of_zero(plain):
+    assert_same(plain, infer(SWING, ARM, passive=True, **SMALL))
+
+
+def test_a_constant_command_shifts_what_remains():
+    """A random walk from anywhere plus a constant is one again: the whole torque stays, what remains is less by it."""
+    command = np.array([2.0, -0.5])
+    told = replace(SWING, torques=np.tile(command, (ROWS, 1)), joint_names=JOINTS)
+    settings = {"torque.initial_scale": 1e5, "torque.scale": 5.0}
+    options = {"torque": RandomWalk(), "settings": settings}
+    one, other = (infer(each, ARM, **options, **SMALL) for each in (SWING, told))
+    assert_same(one, other, tolerance=1e-5)
+    left, whole = mode(told, ARM, **options), mode(SWING, ARM, **options)
+    np.testing.assert_allclose(left + command, whole, atol=1e-5 * np.abs(whole).max())
+
+
+# -- random numbers and workers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [SMALL, PARTICLES], ids=["laplace", "smc"])
+def test_the_same_seed(options):
+    one, again, other = (infer(SWING, ARM, settings=KNOWN, **{**options, "seed": seed}) for seed in (1, 1, 2))
+    assert bits(one) == bits(again)
+    assert not np.array_equal(draws(one), draws(other))
+
+
+@pytest.fixture(scope="module")
+def workers():
+    """Function of a number of workers -> a pool; their imports are shared, for speed."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["invdyn.inference"])
+
+    def pool(count):
+        executor = ProcessPoolExecutor(count, context, context.Barrier(count).wait)
+        wait([executor.submit(os.getpid) for _ in range(count)])
+        return executor
+
+    return pool
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("batch", [None, 1, 3])
+def test_workers_share_the_filters(workers, batch):
+    """One worker, two or none give the same bits, in batches of a given size."""
+    options = {"settings": KNOWN, "filters_per_task": batch, **PARTICLES}
+    model, y = states(*EYES, 20), simulated(20)
+    alone = bits(infer(SWING, ARM, **options)), bits(infer_states(model, y, filters_per_task=batch, **PARTICLES))
+    for count in (1, 2):
+        with workers(count) as executor:
+            assert bits(infer(SWING, ARM, executor=executor, **options)) == alone[0]
+            own = infer_states(model, y, filters_per_task=batch, executor=executor, **PARTICLES)
+            assert bits(own) == alone[1]
+
+
+@pytest.mark.long
+def test_the_number_of_filters_a_task_is_no_more_than_there_are():
+    """By default all four are one batch: asking for four, or for more, is the same."""
+    options = {"settings": KNOWN, **PARTICLES}
+    plain, four, more = (bits(infer(SWING, ARM, filters_per_task=n, **options)) for n in (None, 4, 9))
+    assert plain == four == more
+
+
+# -- models of one's own ---------------------------------------------------------------------------------------
+
+A = torch.tensor([[0.9, 0.2], [-0.1, 0.8]]).double()
+Q = torch.tensor([[0.3, 0.1], [0.1, 0.2]]).double()
+C = torch.tensor([[1.0, 0.5], [0.2, 1.0], [0.0, 1.0]]).double()
+R = torch.diag(torch.tensor([0.1, 0.2, 0.3]).double())
+START = torch.tensor([1.0, -1.0]).double()
+EYES = torch.eye(2).double(), torch.eye(3).double()
+
+
+def states(S, T, rows):
+    """The model of states S x whose rows are T y; all matrices follow."""
+    back = torch.linalg.inv(S)
+    return LinearGaussian(S @ A @ back, S @ Q @ S.T, T @ C @ back, T @ R @ T.T, S @ START, S @ S.T, rows)
+
+
+def simulated(rows):
+    """Rows (T, 3) of the model as it is."""
+    torch.manual_seed(0)
+    return states(*EYES, rows).simulate()[1]
+
+
+@pytest.mark.parametrize(
+    ("S", "T"),
+    [
+        (torch.as_tensor(turned(37)), EYES[1]),
+        (torch.diag(torch.tensor([1e3, 0.2]).double()), EYES[1]),
+        (EYES[0][[1, 0]], EYES[1]),
+        (EYES[0], torch.as_tensor(turned(37, 3))),
+        (EYES[0], torch.diag(torch.tensor([1e3, 2.0, 0.5]).double())),
+        (EYES[0], EYES[1][[2, 0, 1]]),
+    ],
+    ids=["states turned", "scaled", "permuted", "rows turned", "rows scaled", "rows permuted"],
+)
+def test_states_and_rows_of_a_linear_model(S, T):
+    rows, y = 20, simulated(20)
+    model, other = states(*EYES, rows), states(S, T, rows)
+
+    options = {"method": "laplace", "num_filters": 2, "num_draws": 2, "seed": 1}
+    one, two = infer_states(model, y, **options), infer_states(other, y @ T.T, **options)
+    shift = -rows * torch.linalg.slogdet(T).logabsdet.item()
+    assert evidence(two) == pytest.approx(evidence(one) + shift, rel=EXACT)
+
+    path, moved_path = (gaussian_smoother(m, r).path for m, r in ((model, y), (other, y @ T.T)))
+    torch.testing.assert_close(moved_path, path @ S.T, rtol=EXACT, atol=EXACT * float(S.abs().max()))
+
+
+def test_a_linear_model_with_rows_that_are_missing_at_the_end():
+    y = simulated(20)
+    longer = torch.cat([y, torch.full((5, 3), torch.nan).double()])
+    one, two = (infer_states(states(*EYES, len(r)), r, method="laplace", num_filters=2) for r in (y, longer))
+    assert evidence(two) == pytest.approx(evidence(one), rel=EXACT)
+
+
+def test_a_linear_model_in_single_precision():
+    """Rounding is far below what 20 rows say."""
+    model, y = states(*EYES, 20), simulated(20)
+    one, two = (
+        infer_states(m, r, method="laplace", num_filters=2)
+        for m, r in ((model, y), (model.to(dtype=torch.float32), y.float()))
+    )
+    assert evidence(two) == pytest.approx(evidence(one), abs=1e-3)
+
+
+# -- in space --------------------------------------------------------------------------------------------------
+
+SPATIAL = """name = "spatial arm"
+dimensions = 3
+gravity = [{0}, {1}, 0.0]
+[[links]]
+name = "upper_arm"
+joint = "shoulder"
+type = "universal"
+tip = "elbow"
+length = 0.35
+mass = 1.5
+[[links]]
+name = "forearm"
+joint = "elbow"
+tip = "wrist"
+type = "universal"
+length = 0.3
+mass = 1.0
+"""
+
+
+@pytest.mark.long
+def test_turned_about_an_axis_in_space(tmp_path):
+    """About the first joint's own axis, z: its first angle goes with it."""
+    rows = 20
+    time, phase = STEP * np.arange(rows), STEP * np.arange(rows)[:, None]
+    angle = np.array([-1.2, 0.2, 0.8, -0.3]) + 0.4 * np.sin(phase * np.array([2.0, 3.0, 2.5, 3.5]))
+
+    def body(matrix):
+        path = tmp_path / "arm.toml"
+        path.write_text(SPATIAL.format(*(matrix @ [0.0, -9.81, 0.0])))
+        return load_body(path)
+
+    model = ArmModel(body(np.eye(3)), time)
+    tips = model.dynamics.keypoints(torch.as_tensor(angle), model.body_parameters()).numpy()
+    tips += NOISE * np.random.default_rng(0).normal(size=tips.shape)
+    recording, matrix = Recording(time, tips, TIPS), turned(37, 3)
+    known = {"torque.decay": 5.0}
+    one = infer(recording, body(np.eye(3)), settings=known, **SMALL)
+    other = infer(moved(recording, matrix), body(matrix), settings=known, **SMALL)
+    # Inverse kinematics stops at 1e-3 rad of a step, elsewhere.
+    assert_same(one, other, tolerance=1e-4)
