@@ -65,13 +65,13 @@ from .parameters.smc2 import smc2 as smc2
 from .parameters.tempered import ParticleLikelihood as ParticleLikelihood
 from .parameters.tempered import tempered as tempered
 from .parameters.unconstrained import UnconstrainedParameters as UnconstrainedParameters
+from .posterior.files import load_posterior as load_posterior
+from .posterior.files import save_posterior as save_posterior
 from .posterior.initialise import Problem as Problem
 from .posterior.initialise import arm_problem as arm_problem
 from .posterior.mechanics import mechanics as mechanics
 from .posterior.posterior import evidence_note as evidence_note
-from .posterior.posterior import load_posterior as load_posterior
 from .posterior.posterior import pooled as pooled
-from .posterior.posterior import save_posterior as save_posterior
 from .posterior.posterior import summarise as summarise
 from .posterior.problem import StateSpaceProblem as StateSpaceProblem
 from .smoothing.forward_backward import ForwardBackward as ForwardBackward

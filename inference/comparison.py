@@ -43,7 +43,8 @@ from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
-from invdyn.inference.posterior.posterior import evidence_note, packed, unpacked
+from invdyn.inference.posterior.files import packed, unpacked
+from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.recordings.errors import first_line
 
 MAX_MONITORED = 200

@@ -21,8 +21,9 @@ from invdyn.inference.execution.distribute import Tensors, distribute
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.inference.posterior.posterior import combine, packed, unpacked
+from invdyn.inference.posterior.posterior import combine
 
 Method = Callable[..., az.InferenceData]
 

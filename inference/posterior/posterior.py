@@ -22,31 +22,23 @@ a few long chains, for ArviZ's figures of chains of four draws mean nothing.
 
 import json
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import arviz as az
-import h5py
 import numpy as np
 import pandas as pd
 import torch
 import xarray as xr
 from torch import Tensor
 
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.nested import OuterWeights, outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
-from invdyn.inference.posterior.layout import check_layout
 from invdyn.inference.posterior.problem import DRAWS, Contents, StateSpaceProblem, Variables
-from invdyn.recordings import InputError, atomic_path, resolved
-from invdyn.recordings.errors import about, first_line
-from invdyn.recordings.hdf5_size import check_hdf5
 
 
 def to_inference_data(
@@ -136,7 +128,7 @@ def to_inference_data(
         }
     )
     weights = outer.log_weights.unsqueeze(-1).expand(paths.shape[:2]) if log_weights is None else log_weights
-    return equally_weighted(idata, weights.flatten(), _chains(*paths.shape[:2]))
+    return equally_weighted(idata, weights.flatten(), joined_chains(*paths.shape[:2]))
 
 
 UNITS = {
@@ -223,7 +215,7 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
         for weights, count in zip(outer.log_weights.split(filters), draws, strict=True)
     ]
     with seeded(seed):
-        return equally_weighted(idata, torch.cat(shares), _chains(sum(filters), sum(draws) // sum(filters)))
+        return equally_weighted(idata, torch.cat(shares), joined_chains(sum(filters), sum(draws) // sum(filters)))
 
 
 DRAWN = ("posterior", "posterior_predictive", "log_likelihood")
@@ -236,7 +228,7 @@ JOINED_CHAINS = 4
 """Chains that shorter ones are joined to: R-hat needs several."""
 
 
-def _chains(filters: int, draws: int) -> int:
+def joined_chains(filters: int, draws: int) -> int:
     """Number of chains that M filters of R draws become: M, or fewer and longer ones where a filter has few draws."""
     if draws >= LONG_CHAIN:
         return filters
@@ -292,62 +284,3 @@ def summarise(idata: az.InferenceData) -> pd.DataFrame:
     table = az.summary(idata, var_names=["torque"], hdi_prob=0.9)
     assert isinstance(table, pd.DataFrame)  # as its argument fmt says
     return table
-
-
-def save_posterior(idata: az.InferenceData, path: str | Path) -> None:
-    """Write netCDF, whole or not at all. Raises OSError when ``path`` cannot be written."""
-    with atomic_path(path) as temporary:
-        idata.to_netcdf(str(temporary), engine="h5netcdf")
-
-
-def load_posterior(path: str | Path) -> az.InferenceData:
-    """Read what :func:`save_posterior` wrote.
-
-    Raises FileNotFoundError, or InputError when the file is damaged or is not a posterior of ours, with which of its
-    variables is not as :mod:`.layout` has it.
-    """
-    if not resolved(path).exists():
-        raise FileNotFoundError(2, "no such posterior", str(path))
-    check_hdf5(path)  # first: where this fails, h5netcdf complains once more when it is dropped
-    try:
-        with h5py.File(path) as store:
-            dict(store.attrs)
-        idata = az.from_netcdf(str(path), engine="h5netcdf")
-        for group in idata.groups():  # in place; InferenceData's own method would load a copy
-            idata[group].load()
-        if idata.attrs.get("method") is not None and "draws" not in idata.attrs:
-            idata = _of_version_02(idata)
-    except InputError:
-        raise
-    except Exception as error:  # a broken file fails anywhere inside HDF5, xarray or ArviZ
-        raise InputError(f"{path} is damaged or not netCDF: {first_line(error)}") from error
-    with about(path):
-        check_layout(idata)
-    return idata
-
-
-def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
-    """A file of version 0.2 or before, as it is laid out now: a chain was a filter, and had a weight."""
-    if missing := {"posterior", "posterior_predictive", "sample_stats"} - set(idata.groups()):
-        raise InputError(f"no posterior of invdyn: it lacks {', '.join(sorted(missing))}")
-    idata["sample_stats"] = idata["sample_stats"].rename(chain="filter")
-    sizes = [idata["posterior"].sizes[dim] for dim in DRAWS]
-    weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values).repeat_interleave(sizes[1])
-    with seeded(int(idata.attrs.get("seed", 0))):
-        return equally_weighted(idata, weights, _chains(*sizes))
-
-
-def packed(idata: az.InferenceData) -> Tensors:
-    """A posterior as the bytes of its file, the one form of it that workers and checkpoints share."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "posterior.nc"
-        save_posterior(idata, file)
-        return {"file": torch.from_numpy(np.fromfile(file, np.uint8))}
-
-
-def unpacked(part: Tensors) -> az.InferenceData:
-    """The posterior of which :func:`packed` are the bytes."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "posterior.nc"
-        part["file"].numpy().tofile(file)
-        return load_posterior(file)

@@ -19,7 +19,7 @@ import pyarrow.parquet  # noqa: F401
 import torch
 from log_files import JOINTS, LEROBOT, bag, lerobot, mcap
 
-from invdyn.inference.posterior.posterior import load_posterior
+from invdyn.inference.posterior.files import load_posterior
 from invdyn.models.bodies import body_mjcf
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.recordings import InputError, load
