@@ -26,6 +26,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.records import flattened, unflattened
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
 from invdyn.inference.filters.moment_matching import exact_closed_form, look_alike
 from invdyn.inference.filters.particle_filter import ParticleFilter
@@ -174,6 +175,19 @@ def bootstrap_opinion(model: StateSpaceModel, observations: Tensor, options: SMC
     """Evidence of a bootstrap pilot; None where it collapses. Random numbers are torch's own (global seed)."""
     pilot, _ = _blind(model, observations, options, keep=0)
     return None if pilot is None else pilot.found
+
+
+def second_opinion(
+    model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, start: Tensor | None = None
+) -> Evidence | None:
+    """:func:`bootstrap_opinion` where a linearisation may have ended in a wrong mode, with the random numbers of ``seed``.
+
+    None where it collapses, and where a ``start`` or one of the model's own leads to the posterior.
+    """
+    if start is not None or has_own_start(model):
+        return None
+    with seeded(seed, options.device):
+        return bootstrap_opinion(model, observations, options)
 
 
 def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:

@@ -134,6 +134,22 @@ def approximation_doubt(log_evidence: float, pilot: Evidence | None) -> str:
     return f"the linearised model has log evidence {log_evidence:.1f}, a bootstrap filter {pilot}: use smc"
 
 
+def bound_doubt(bound: float, states: int, pilot: Evidence | None) -> str:
+    """Why the posterior of a lower bound on log p(y) may not be used, a q over so many numbers; "" if it may.
+
+    The gap is KL(q ‖ p): half a nat a number if q is a Gaussian posterior that is off by one standard deviation in each.
+    """
+    if pilot is None:
+        return ""
+    found = Evidence(bound + states / 2, 0.0, math.nan, 0, True, "", "variational")
+    if not exceeds(pilot, found):
+        return ""
+    return (
+        f"the bound is {bound:.1f}, a bootstrap filter estimates {pilot}: its posterior is further off than by one "
+        "standard deviation in each state; use smc"
+    )
+
+
 def _joint_sd(found: Evidence, other: Evidence) -> float:
     """Of a difference; an estimate without an error of its own, which one filter carries, adds none."""
     return math.hypot(*(0.0 if math.isnan(each.sd) else each.sd for each in (found, other)))
