@@ -1,18 +1,6 @@
 """Any state-space model: seventeen models × all generic methods, against exact answers (:mod:`gallery_answers`).
 
-A method runs R times on one recording of a model, with seeds of its own. A cell of the table is
-
-    right         the mean over runs of Ẑ is within 3 standard errors, by the runs' scatter or as stated, at most one
-                  run is off by more than 3 of its own stated errors, smoothed means agree, and 90 % bands hold 87 to 93 %
-    bound         log Ẑ of a variational method is below the truth, within 3 errors; its gap stands in the cell
-    near          an approximation that states no error: off by at most ``STRONG`` nats, its means by one posterior sd
-    refused       one line of ModelError says why
-    not usable    the method itself says so, in "usable" or by an R-hat above ``MIXED``
-    wrong         all else
-
-Smoothed means agree if the rms over rows of the error of their mean over runs is at most 3 times its standard error
-(with one run, that of its draws' ESS), or below ``SMALL`` posterior sd. Bands are of all runs' draws together; what
-they hold is by the exact posterior, not by the one path that was simulated.
+A method runs R times on one recording of a model, with other seeds. :mod:`gallery_table` says when a cell is right.
 
     python benchmarks/gallery.py [--models Cox growth] [--methods smc] [--replicates 5] [--results build/gallery.jsonl]
     python benchmarks/gallery.py --growth 20     fresh recordings of the growth model, by the default call
@@ -32,6 +20,7 @@ import numpy as np
 import torch
 from gallery_answers import Answer, answer, grid
 from gallery_models import MODELS, recording
+from gallery_table import METHODS, MIXED, OWN, show
 
 from invdyn.inference import infer_states
 from invdyn.inference.contract import ModelError, check_model
@@ -39,21 +28,17 @@ from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.rao_blackwellised import rao_blackwellised, smooth_inner
 from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.inference.smoothing.forward_backward import forward_backward
-from invdyn.models import ConditionallyLinear, FiniteStateModel
 from invdyn.recordings import InputError
 
-METHODS = ("smc", "bootstrap", "particle-gibbs", "laplace", "svi", "svi-markov", "vsmc", "nuts")
-OWN = {"forward-backward": FiniteStateModel, "rao-blackwellised": ConditionallyLinear}
-"""Methods that are functions, and the models that they take."""
+COSTLY = {"particle-gibbs": 3, "nuts": 1, "laplace": 1, "svi": 2, "svi-markov": 2, "vsmc": 3}
+"""Runs at most, of methods that cost much, or whose evidence draws no random number."""
 
-COSTLY = {"nuts": 1, "laplace": 1, "svi": 2, "svi-markov": 2, "vsmc": 3}
-"""Runs at most, of methods that cost much or that draw no random number for what is compared."""
+ROUNDING = 1e-3
+"""Nats that float32 may lose."""
 
-APPROXIMATE = ("laplace", "svi", "svi-markov")
-STRONG, MIXED, SMALL, ROUNDING = 3.0, 1.05, 0.05, 1e-3
-"""A Bayes factor of 20 in nats (Kass & Raftery 1995: strong); R-hat; posterior sd; nats that float32 may lose."""
-
-SIZES = {"num_filters": 32, "num_particles": 100, "num_draws": 4}
+SIZES = {"num_filters": 32, "num_particles": 100}
+DRAWS = {"particle-gibbs": 8, "nuts": 16}
+"""Of each filter or 32nd part of the draws; 4 of other methods."""
 
 
 def run(model, rows: torch.Tensor, method: str, seed: int) -> dict:
@@ -74,7 +59,7 @@ def run(model, rows: torch.Tensor, method: str, seed: int) -> dict:
         lines = torch.multinomial(outer.log_weights.exp(), 32, replacement=True)
         draws = torch.cat([smoothed.outer, inner], -1)[lines].flatten(0, 1)
         return {"log_evidence": outer.log_evidence, "sd": outer.log_evidence_sd, "draws": draws.numpy()}
-    idata = infer_states(model, rows, method=method, seed=seed, **SIZES)
+    idata = infer_states(model, rows, method=method, seed=seed, num_draws=DRAWS.get(method, 4), **SIZES)
     states = idata["posterior"]["state"].transpose("chain", "draw", "time", "state_name")
     draws = states.values.reshape(-1, *states.shape[2:])
     statistics = idata["sample_stats"].attrs
@@ -101,41 +86,21 @@ def cell(name: str, method: str, replicates: int, cache: Path) -> dict:
         try:
             runs.append(run(model, rows, method, 100 + number))
         except (ModelError, InputError) as error:
-            return {"model": name, "method": method, "verdict": "refused", "why": str(error)}
+            return {"model": name, "method": method, "failure": "refused", "why": str(error)}
         except Exception as error:  # a fault that the table has to show
             why = f"{type(error).__name__}: {error}".splitlines()[0]
-            return {"model": name, "method": method, "verdict": "failed", "why": why}
+            return {"model": name, "method": method, "failure": "failed", "why": why}
     seconds = (time.process_time() - begun) / len(runs)
     found = {"model": name, "method": method, "runs": len(runs), "cpu": round(seconds, 2)}
-    return found | judged(method, exact, runs)
+    return found | figures(exact, runs)
 
 
-def judged(method: str, exact: Answer, runs: list[dict]) -> dict:
-    """Verdict on the runs that call themselves usable, and its figures."""
+def figures(exact: Answer, runs: list[dict]) -> dict:
+    """What is compared, of the runs that call themselves usable."""
     usable = [each for each in runs if not each.get("note")]
-    figures: dict = {"usable": len(usable), "why": next((each["note"] for each in runs if each.get("note")), "")}
-    figures["guide"] = ", ".join(sorted({each.get("guide", "") for each in runs}))
-    if not usable:
-        return {"verdict": "not usable", **figures}
-    figures |= evidence_figures(exact, usable) | state_figures(exact, usable)
-    wrong = []
-    off, error = figures.get("off", math.nan), figures.get("error", math.nan)
-    if method in APPROXIMATE:
-        if method == "laplace" and not abs(off) <= STRONG:
-            wrong.append("evidence")
-        if method != "laplace" and off > 3 * error:
-            wrong.append("above the evidence")
-        if figures["mean_off"] > 1:
-            wrong.append("means")
-    else:
-        if off == off and (not abs(off) <= 3 * error or figures["beyond"] > 1):
-            wrong.append("evidence")
-        if figures["mean_off"] > max(3 * figures["mean_error"], SMALL):
-            wrong.append("means")
-        if not abs(figures.get("covers", 0.9) - 0.9) <= 0.03:
-            wrong.append("coverage")
-    right = {"laplace": "near"}.get(method, "bound" if method in APPROXIMATE else "right")
-    return {"verdict": "wrong: " + ", ".join(wrong) if wrong else right, **figures}
+    found: dict = {"usable": len(usable), "why": next((each["note"] for each in runs if each.get("note")), "")}
+    found["guide"] = ", ".join(sorted({each.get("guide", "") for each in runs}))
+    return found | (evidence_figures(exact, usable) | state_figures(exact, usable) if usable else {})
 
 
 def evidence_figures(exact: Answer, runs: list[dict]) -> dict:
@@ -145,14 +110,12 @@ def evidence_figures(exact: Answer, runs: list[dict]) -> dict:
         return {}
     off = float(np.logaddexp.reduce(values) - math.log(len(values))) - exact.log_evidence
     relative = np.exp(values - values.max())
-    scatter = float(relative.std(ddof=1) / relative.mean()) if len(values) > 1 else 0.0
-    # A few runs may scatter less than they do at large: the larger of what they show and what they state counts.
-    error = max(scatter, float(np.sqrt(np.mean(np.nan_to_num(sds) ** 2)))) / math.sqrt(len(values))
+    scatter = float(relative.std(ddof=1) / relative.mean() / math.sqrt(len(values))) if len(values) > 1 else 0.0
     floor = math.hypot(exact.log_evidence_sd, ROUNDING)
     beyond = np.abs(values - exact.log_evidence) / np.hypot(sds, floor)
     return {
         "off": off,
-        "error": math.hypot(error, floor),
+        "error": math.hypot(scatter, floor),
         "stated": float(sds.mean()),
         "beyond": int((beyond > 3).sum()),
         "furthest": float(beyond.max()),
@@ -176,38 +139,6 @@ def state_figures(exact: Answer, runs: list[dict]) -> dict:
         low, high = np.quantile(draws, [0.05, 0.95], axis=0)
         figures["covers"] = float(exact.covered(low, high)[:, ~numbers].mean())
     return figures
-
-
-# -- tables ------------------------------------------------------------------------------------------
-def words(found: dict | None) -> str:
-    """A cell of the table."""
-    if found is None:
-        return ""
-    verdict, off = found["verdict"], found.get("off", math.nan)
-    if verdict in ("refused", "failed", "not usable"):
-        return verdict
-    if found["usable"] < found["runs"]:
-        verdict += f" ({found['usable']} of {found['runs']} usable)"
-    evidence = (
-        "" if off != off else f" {off:+.2f}" + ("" if found["method"] == "laplace" else f" ± {found['error']:.2f};")
-    )
-    covers = f", {100 * found['covers']:.0f} %" if "covers" in found else ""
-    return f"{verdict}{evidence} {found['mean_off']:.2f}{covers}"
-
-
-def show(cells: list[dict]) -> None:
-    names = [name for name in MODELS if any(each["model"] == name for each in cells)]
-    by = {(each["model"], each["method"]): each for each in cells}
-    for methods in (METHODS[:4], METHODS[4:], tuple(OWN)):
-        rows = [name for name in names if any((name, method) in by for method in methods)]
-        print(f"\nMethods {', '.join(methods)}:\n")
-        print("| model | " + " | ".join(methods) + " |\n|" + "---|" * (len(methods) + 1))
-        for name in rows:
-            print(f"| {name} | " + " | ".join(words(by.get((name, method))) for method in methods) + " |")
-    print("\nWhat is refused or not usable, or wrong, and why:\n\n| model | method | what | why |\n|---|---|---|---|")
-    for each in sorted(cells, key=lambda each: (list(MODELS).index(each["model"]), each["method"])):
-        if each.get("why") or each["verdict"].startswith("wrong"):
-            print(f"| {each['model']} | {each['method']} | {each['verdict']} | {each['why']} |")
 
 
 def growth(count: int) -> None:
