@@ -30,7 +30,7 @@ from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.inference.smoothing.forward_backward import forward_backward
 from invdyn.recordings import InputError
 
-COSTLY = {"particle-gibbs": 3, "nuts": 1, "laplace": 1, "svi": 2, "svi-markov": 2, "vsmc": 3}
+COSTLY = {"particle-gibbs": 1, "nuts": 1, "laplace": 1, "svi": 1, "svi-markov": 1, "vsmc": 2}
 """Runs at most, of methods that cost much, or whose evidence draws no random number."""
 
 ROUNDING = 1e-3
