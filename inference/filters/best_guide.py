@@ -180,9 +180,9 @@ def bootstrap_opinion(model: StateSpaceModel, observations: Tensor, options: SMC
 def second_opinion(
     model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, start: Tensor | None = None
 ) -> Evidence | None:
-    """:func:`bootstrap_opinion` where a linearisation may have ended in a wrong mode, with the random numbers of ``seed``.
+    """:func:`bootstrap_opinion` by the random numbers of ``seed``, where a linearisation may end in a wrong mode.
 
-    None where it collapses, and where a ``start`` or one of the model's own leads to the posterior.
+    None where the pilot collapses, and where a ``start`` or one of the model's own leads to the posterior.
     """
     if start is not None or has_own_start(model):
         return None

@@ -158,7 +158,7 @@ def approximation_doubt(log_evidence: float, pilot: Evidence | None) -> str:
 def bound_doubt(bound: float, states: int, pilot: Evidence | None) -> str:
     """Why the posterior of a lower bound on log p(y) may not be used, a q over so many numbers; "" if it may.
 
-    The gap is KL(q ‖ p): half a nat a number if q is a Gaussian posterior that is off by one standard deviation in each.
+    The gap is KL(q ‖ p): half a nat a number if q is the Gaussian posterior, off by one standard deviation in each.
     """
     if pilot is None:
         return ""
