@@ -141,13 +141,13 @@ def state_figures(exact: Answer, runs: list[dict]) -> dict:
     return figures
 
 
-def growth(count: int) -> None:
+def growth(count: int, first: int) -> None:
     """Fresh recordings of the growth model by the default call, 100 rows each."""
     from gallery_one_state import Growth
 
     right = wrong = doubted = 0
     seconds = time.process_time()
-    for seed in range(500, 500 + count):
+    for seed in range(first, first + count):
         model = Growth()
         model.num_steps = 100
         rows = model.simulate(seed=seed)[1]
@@ -175,11 +175,12 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=5)
     parser.add_argument("--results", type=Path, default=Path("build/gallery.jsonl"))
     parser.add_argument("--growth", type=int, default=0, metavar="RECORDINGS")
+    parser.add_argument("--first", type=int, default=500, help="seed of the first of these recordings")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     if options.growth:
-        return growth(options.growth)
+        return growth(options.growth, options.first)
 
     options.results.parent.mkdir(parents=True, exist_ok=True)
     options.results.touch()
