@@ -9,9 +9,9 @@ confirms it closely. Else the defended look-ahead and the bootstrap filter stand
     of those that no other exceeds beyond errors, the one that needs the fewest particles is taken,
 
 or the bootstrap, if the look-ahead and the defended one disagree and the bootstrap is within reach: guides of one ψ may
-miss the same mode. If it is not, and its pilot has no standing, no run is usable. A guide has as many as bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the
-options: a guide that sees less of what is to come needs more of them. The look-ahead that stands uncontradicted has
-those of the options.
+miss the same mode. If it is not, and its pilot has no standing, no run is usable. A guide has as many particles as
+bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the options: one that sees less of what is to
+come needs more of them. The look-ahead that stands uncontradicted has those of the options.
 
 A model without a Gaussian look-alike (a discrete or bounded state, no variance), or one that cannot be linearised, has
 the bootstrap guide alone.
