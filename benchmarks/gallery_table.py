@@ -99,9 +99,17 @@ def show(cells: list[dict]) -> None:
         cpu = sorted(each["cpu"] for each in mine if "cpu" in each) or [math.nan]
         print(f"| {method} | {counts} | {cpu[len(cpu) // 2]:.1f}, {cpu[-1]:.1f} |")
 
-    print("\nWhat is not usable, refused or wrong, and why:\n\n| model | method | what | why |\n|---|---|---|---|")
+    print("\nWhat is refused, not usable or wrong, and why (the first run that says so):\n")
+    print("| model | methods | what | why |\n|---|---|---|---|")
+    reasons: dict[tuple[str, str, str], list[str]] = {}
     for name in MODELS:
         for method in (*METHODS, *OWN):
             each = by.get((name, method))
-            if each is not None and (each.get("why") or "wrong" in verdict(each)):
-                print(f"| {name} | {method} | {verdict(each).replace('*', '')} | {each['why'].replace('|', '/')} |")
+            if each is None or not (each.get("why") or "wrong" in verdict(each)):
+                continue
+            said = verdict(each).replace("*", "")
+            some = said if said in ("refused", "failed", "not usable") or "wrong" in said else "some runs not usable"
+            why = each["why"].removeprefix("not usable: ").replace("|", "/")
+            reasons.setdefault((name, some, why), []).append(method)
+    for (name, some, why), methods in reasons.items():
+        print(f"| {name} | {', '.join(methods)} | {some} | {why} |")
