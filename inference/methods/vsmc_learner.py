@@ -147,7 +147,8 @@ class AtParameters(Learner):
         pilot = second_opinion(self.model, self.observations, self.options, derived(seed, PILOT), self.start)
         found = evidence(result.log_evidence, "vsmc", pilot)
         own = self.settings(settings)
-        doubts = {"usable": int(found.usable), "doubt": found.reason, "contradicted": found.contradicted}
+        doubts: dict[str, float | str] = {"usable": int(found.usable), "doubt": found.reason}
+        doubts["contradicted"] = found.contradicted
         return to_inference_data(
             self.problem, paths, result, method="vsmc", seed=seed, settings=own, diagnostics=doubts
         ), []
