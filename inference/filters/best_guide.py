@@ -8,8 +8,10 @@ confirms it closely. Else the defended look-ahead and the bootstrap filter stand
 
     of those that no other exceeds beyond errors, the one that needs the fewest particles is taken,
 
-with as many as bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the options: a guide that
-sees less of what is to come needs more of them. The look-ahead that stands uncontradicted has those of the options.
+or the bootstrap, if the look-ahead and the defended one disagree and the bootstrap is within reach: guides of one ψ may
+miss the same mode. If it is not, and its pilot has no standing, no run is usable. A guide has as many particles as
+bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the options: one that sees less of what is to
+come needs more of them. The look-ahead that stands uncontradicted has those of the options.
 
 A model without a Gaussian look-alike (a discrete or bounded state, no variance), or one that cannot be linearised, has
 the bootstrap guide alone.
@@ -26,6 +28,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.records import flattened, unflattened
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
 from invdyn.inference.filters.moment_matching import exact_closed_form, look_alike
 from invdyn.inference.filters.particle_filter import ParticleFilter
@@ -43,6 +46,11 @@ HOPELESS = 30.0
 
 VARIANCE = 0.5
 """Of log Ẑ over filters, at which its mean over 64 has next to no skew."""
+
+UNCONFIRMED = "guides that look ahead disagree, and no bootstrap pilot is steady enough to decide: use more particles"
+
+CHEAPER = 4
+"""Times the particles that it may have which a bootstrap may need, to stand for guides that disagree."""
 
 MORE, RUN_PARTICLE_STEPS = 16, 2e7
 """Times the particles of the options that a guide may take, and particles × rows of all its filters at most."""
@@ -67,6 +75,7 @@ class Guide:
         num_particles: N that a filter needs.
         opinion: log-evidences (M,) of a bootstrap pilot; None where it failed, or is no other guide.
         reason: why the look-ahead is not used, in a line; "" if it is.
+        doubt: why no run by this guide may be believed; "" if one may.
     """
 
     name: str
@@ -74,16 +83,26 @@ class Guide:
     num_particles: int
     opinion: Tensor | None = None
     reason: str = ""
+    doubt: str = ""
 
     def judged(self, log_evidence: Tensor) -> Evidence:
         """Evidence of filters (M,) that this guide steered, doubted by the pilot's."""
-        return evidence(log_evidence, self.name, None if self.opinion is None else evidence(self.opinion, "bootstrap"))
+        pilot = None if self.opinion is None else evidence(self.opinion, "bootstrap")
+        found = evidence(log_evidence, self.name, pilot)
+        if self.doubt and found.usable:
+            return replace(found, usable=False, reason=self.doubt, contradicted=self.doubt)
+        return found
 
     def to_keep(self) -> tuple[Tensors, dict[str, Any]]:
         """Tensors and the rest, for a checkpoint; :meth:`kept` takes them back."""
         tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
         tensors |= {} if self.opinion is None else {"opinion": self.opinion}
-        return tensors, {"name": self.name, "num_particles": self.num_particles, "reason": self.reason}
+        return tensors, {
+            "name": self.name,
+            "num_particles": self.num_particles,
+            "reason": self.reason,
+            "doubt": self.doubt,
+        }
 
     @classmethod
     def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":
@@ -92,7 +111,7 @@ class Guide:
         if "smoother.path" in tensors:
             smoother = unflattened(GaussianSmoother, tensors, "smoother.")
         opinion, size = tensors.get("opinion"), int(state["num_particles"])
-        return cls(state["name"], smoother, size, opinion, state["reason"])
+        return cls(state["name"], smoother, size, opinion, state["reason"], state["doubt"])
 
 
 @dataclass(frozen=True)
@@ -108,7 +127,7 @@ class _Pilot:
     @property
     def needed(self) -> float:
         """Particles for a variance of log Ẑ of ``VARIANCE``, which goes down with their number."""
-        return self.num_particles * float(self.log_evidence.var()) / VARIANCE
+        return self.num_particles * self.found.filter_sd**2 / VARIANCE
 
 
 def best_guide(
@@ -148,7 +167,7 @@ def best_guide(
     if not searched:
         opinion, _ = _blind(model, observations, options, keep=0)
     ahead = _Pilot(name, log_evidence, min(options.num_particles, 100))
-    size = options.num_particles
+    size, doubt = options.num_particles, ""
     doubted = not ahead.found.standing or (opinion is not None and exceeds(opinion.found, ahead.found))
     if searched or doubted:
         defended = [] if name == "defended" else _defended(model, observations, options, smoother)
@@ -158,11 +177,17 @@ def best_guide(
             # Where a model has no start of its own, any mode may have been missed.
             own = [] if rivals and searched and name == "controlled" else [ahead]
             ahead = _chosen(rivals + own)
+            # Guides of one ψ that disagree tell of modes that ψ may miss: filters then agree on what they all miss.
+            if own == [] and opinion is not None:
+                if opinion.needed < CHEAPER * _most(options, len(observations)):
+                    ahead = opinion
+                elif ahead is not opinion and not opinion.found.standing:
+                    doubt = UNCONFIRMED
             size = _affordable(ahead, options, len(observations))
     if ahead.name == "bootstrap":
         reason = f"the {name} guide misses a part of the posterior, or is less steady"
         return Guide("bootstrap", None, size, reason=reason)
-    return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence)
+    return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence, doubt=doubt)
 
 
 def has_own_start(model: StateSpaceModel) -> bool:
@@ -176,6 +201,19 @@ def bootstrap_opinion(model: StateSpaceModel, observations: Tensor, options: SMC
     return None if pilot is None else pilot.found
 
 
+def second_opinion(
+    model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, start: Tensor | None = None
+) -> Evidence | None:
+    """:func:`bootstrap_opinion` by the random numbers of ``seed``, where a linearisation may end in a wrong mode.
+
+    None where the pilot collapses, and where a ``start`` or one of the model's own leads to the posterior.
+    """
+    if start is not None or has_own_start(model):
+        return None
+    with seeded(seed, options.device):
+        return bootstrap_opinion(model, observations, options)
+
+
 def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:
     highest = max(pilots, key=lambda pilot: pilot.found.log_evidence)
     level = [pilot for pilot in pilots if pilot is highest or not exceeds(highest.found, pilot.found)]
@@ -184,11 +222,16 @@ def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:
 
 def _affordable(pilot: _Pilot | None, options: SMCOptions, rows: int) -> int:
     """Particles that the guide of ``pilot`` needs, within bounds."""
-    room = int(RUN_PARTICLE_STEPS / (options.num_filters * rows))
-    most = max(options.num_particles, min(MORE * options.num_particles, room))
+    most = _most(options, rows)
     if pilot is None or not pilot.needed < most:
         return most
     return max(options.num_particles, math.ceil(pilot.needed))
+
+
+def _most(options: SMCOptions, rows: int) -> int:
+    """Particles of a filter at most."""
+    room = int(RUN_PARTICLE_STEPS / (options.num_filters * rows))
+    return max(options.num_particles, min(MORE * options.num_particles, room))
 
 
 def _blind(

@@ -164,7 +164,7 @@ def run_filters(
     if guide != "bootstrap" and smoother is None:
         smoother = adapted_smoother(model, observations, options)
     dtype = options.dtype or (torch.float32 if smoother is None else sufficient_dtype(smoother))
-    fast = _in_type(model, observations, options, dtype)
+    fast = in_type(model, observations, options, dtype)
     rows = check_model(fast, observations)
     proposal = _proposal(guide, fast, observations, smoother)
     particle_filter = kind(
@@ -178,7 +178,7 @@ def run_filters(
     return particle_filter.run(rows, keep=keep, progress=progress)
 
 
-def _in_type(
+def in_type(
     model: StateSpaceModel, observations: torch.Tensor, options: SMCOptions, dtype: torch.dtype
 ) -> StateSpaceModel:
     """The model in ``dtype`` on its device; in its own type if it has constants of that, and none is prescribed."""

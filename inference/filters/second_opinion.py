@@ -10,6 +10,10 @@ look-ahead beyond log (1/LEVEL) nats and three standard errors, however it scatt
 something only if it has a standing of its own, an outer ESS of at least half of its filters; a collapsed one, as in all
 problems with sharp observations, says nothing.
 
+The outer ESS itself is estimated from these filters, and looks well where none of them has reached the tail that the
+mean lives on. If log Ẑ is normal with variance s², as it is of many particles, the ESS is M e^{−s²}: so s, which needs
+no tail, has to agree. It is the rms above the median, which a few filters that lost the observations do not move.
+
 The standard error of log Ẑ from M filters is sd(Ẑ)/(√M mean Ẑ). With an outer ESS under two one filter carries more
 than half of the estimate, and no error can be had from it: it is NaN.
 
@@ -26,6 +30,9 @@ from invdyn.inference.filters.nested import OuterWeights, outer_weights
 MIN_SHARE, MIN_FILTERS = 0.25, 4.0
 """Outer ESS under which an evidence is not stated, as a share of the filters: where log Ẑ is normal with an sd of 1.2,
 up to which its standard error holds. And filters that it takes at least, if there are twice as many."""
+
+ENOUGH = 16
+"""Filters whose standard deviation tells something."""
 
 LEVEL = 0.01
 """Probability, at most, with which a right estimate is contradicted by a higher one without standing."""
@@ -50,6 +57,7 @@ class Evidence:
         reason: why not, in a line; "" if it does.
         contradicted: how another guide contradicts it; "" if none does.
         guide: "controlled", "defended" or "bootstrap".
+        filter_sd: sd of log Ẑ over filters, above their median.
     """
 
     log_evidence: float
@@ -60,6 +68,7 @@ class Evidence:
     reason: str
     guide: str
     contradicted: str = ""
+    filter_sd: float = 0.0
 
     @property
     def standing(self) -> bool:
@@ -74,7 +83,8 @@ def evidence(log_evidence: Tensor | OuterWeights, guide: str, pilot: Evidence | 
     """Evidence of filters' log-evidences (M,), doubted by their own scatter and by the ``pilot`` of another guide."""
     outer = outer_weights(log_evidence) if isinstance(log_evidence, Tensor) else log_evidence
     filters = len(outer.log_weights)
-    found = Evidence(outer.log_evidence, outer.log_evidence_sd, outer.ess, filters, True, "", guide)
+    scatter = _sd_above_median(outer.log_weights)
+    found = Evidence(outer.log_evidence, outer.log_evidence_sd, outer.ess, filters, True, "", guide, filter_sd=scatter)
     contradicted = "" if pilot is None else contradiction(found, pilot)
     reason = contradicted or scatter_doubt(found)
     return replace(found, usable=not reason, reason=reason, contradicted=contradicted)
@@ -92,7 +102,18 @@ def scatter_doubt(found: Evidence) -> str:
             f"outer effective sample size {found.outer_ess:.1f} of {found.filters} filters is under {floor:g}: "
             "use more particles"
         )
+    widest = math.sqrt(-math.log(MIN_SHARE))
+    if found.filters >= ENOUGH and found.filter_sd > widest:
+        return (
+            f"the filters' log-evidences have a standard deviation of {found.filter_sd:.1f}, over {widest:.1f}, up to "
+            "which an error can be stated: use more particles"
+        )
     return ""
+
+
+def _sd_above_median(values: Tensor) -> float:
+    above = (values - values.median()).clamp_min(0)
+    return float((2 * above.square().mean()).sqrt())
 
 
 def exceeds(other: Evidence, found: Evidence) -> bool:
@@ -132,6 +153,22 @@ def approximation_doubt(log_evidence: float, pilot: Evidence | None) -> str:
     if not apart and not exceeds(pilot, replace(found, log_evidence=log_evidence + SLACK)):
         return ""
     return f"the linearised model has log evidence {log_evidence:.1f}, a bootstrap filter {pilot}: use smc"
+
+
+def bound_doubt(bound: float, states: int, pilot: Evidence | None) -> str:
+    """Why the posterior of a lower bound on log p(y) may not be used, a q over so many numbers; "" if it may.
+
+    The gap is KL(q ‖ p): half a nat a number if q is the Gaussian posterior, off by one standard deviation in each.
+    """
+    if pilot is None:
+        return ""
+    found = Evidence(bound + states / 2, 0.0, math.nan, 0, True, "", "variational")
+    if not exceeds(pilot, found):
+        return ""
+    return (
+        f"the bound is {bound:.1f}, a bootstrap filter estimates {pilot}: its posterior is further off than by one "
+        "standard deviation in each state; use smc"
+    )
 
 
 def _joint_sd(found: Evidence, other: Evidence) -> float:

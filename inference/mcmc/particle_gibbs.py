@@ -31,7 +31,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.bridge import Bridge
-from invdyn.inference.filters.defended import look_ahead
+from invdyn.inference.filters.defended import Defended, look_ahead
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.particles import History, take
 from invdyn.inference.filters.proposal import Proposal
@@ -133,6 +133,7 @@ def run_chains(
     seed: int,
     warmup: int,
     sweeps: int,
+    guide: str = "controlled",
     progress: Report | None = None,
 ) -> Tensors:
     """Chains from a seed of their own: what one worker does. Returns "paths" (M, S, T, D) after the warm-up.
@@ -141,26 +142,28 @@ def run_chains(
         model: whose transition has a density; with a ``smoother`` Gaussian transition noise.
         observations: (T, O), NaN where missing.
         options: num_filters chains, num_particles of every sweep, ess_threshold, device.
-        smoother: for the controlled guide and moves of blocks; None for the bootstrap guide.
+        smoother: for a guide that looks ahead and moves of blocks; None for the bootstrap guide.
         seed: of every random number.
         warmup, sweeps: those thrown away at first, and all.
+        guide: with a ``smoother``, "controlled" or "defended".
         progress: called with (sweeps done, sweeps).
 
     Raises ModelError where the transition has no density, as with a state without noise.
     """
     observations = check_model(model, observations, needs=("transition_density",))
     model, rows = model.to(device=options.device), observations.to(options.device)
-    guide: Proposal = Bootstrap(model)
+    proposal: Proposal = Bootstrap(model)
     bridge: Bridge | None = None
     if smoother is not None:
-        guide = look_ahead(model, rows, smoother)
-        if len(rows) > BLOCK + 2 and options.device == "cpu" and guide.one_gain:
+        ahead = (Defended if guide == "defended" else look_ahead)(model, rows, smoother)
+        proposal = ahead
+        if len(rows) > BLOCK + 2 and options.device == "cpu" and ahead.one_gain:
             bridge = Bridge(model, rows, smoother, BLOCK)
     size, threshold, kept = options.num_particles, options.ess_threshold, []
     with seeded(seed, options.device):
-        paths = first_paths(guide, rows, options.num_filters, size, threshold=threshold)
+        paths = first_paths(proposal, rows, options.num_filters, size, threshold=threshold)
         for number in range(sweeps):
-            paths = sweep(guide, rows, paths, size, threshold=threshold)
+            paths = sweep(proposal, rows, paths, size, threshold=threshold)
             if bridge is not None:
                 paths = move_blocks(bridge, paths, number % (BLOCK // 2))
             if number >= warmup:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.best_guide import bootstrap_opinion, has_own_start
+from invdyn.inference.filters.best_guide import has_own_start, second_opinion
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.second_opinion import approximation_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
@@ -49,8 +49,7 @@ def laplace(
     smoother = gaussian_smoother(problem.model, problem.observations, start)
     opinion: dict[str, int | str] = {}
     if start is None and not has_own_start(problem.model):
-        with seeded(derived(seed, PILOT)):
-            pilot = bootstrap_opinion(problem.model, problem.observations, options)
+        pilot = second_opinion(problem.model, problem.observations, options, derived(seed, PILOT))
         doubt = approximation_doubt(smoother.log_evidence.item(), pilot)
         opinion = {"usable": int(not doubt), "doubt": doubt}
     with seeded(seed), torch.no_grad():

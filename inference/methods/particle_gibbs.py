@@ -12,6 +12,7 @@ from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.filters.best_guide import Guide
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.mcmc.mixing import mixing
 from invdyn.inference.mcmc.particle_gibbs import run_chains
@@ -39,7 +40,7 @@ def particle_gibbs(
 
     Args:
         problem: model and observations.
-        guide: "controlled" or "bootstrap".
+        guide: "controlled", which :func:`.best_guide` may overrule, or "bootstrap".
         options: num_filters chains of num_draws draws each; num_particles of every sweep.
         start: path (T, D) to linearise at first.
         seed: of every random number; same seed, same result.
@@ -66,9 +67,9 @@ def particle_gibbs(
     options.check()
     model, observations = problem.model.to(dtype=torch.float64), problem.observations.double()
     checkpoint = inside(checkpoint, f"particle-gibbs-{guide}")
-    smoother = None
+    chosen = Guide("bootstrap", None, options.num_particles)
     if guide == "controlled":
-        smoother = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide")).smoother
+        chosen = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
     sweeps, sizes = warmup + thin * options.num_draws, options.tasks()
     parts = distribute(
         run_chains,
@@ -77,10 +78,11 @@ def particle_gibbs(
                 model,
                 observations,
                 replace(options, num_filters=size),
-                smoother,
+                chosen.smoother,
                 derived(seed, FILTERS, k),
                 warmup,
                 sweeps,
+                chosen.name,
             )
             for k, size in enumerate(sizes)
         ],

@@ -5,8 +5,10 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
-from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.filters.best_guide import second_opinion
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.second_opinion import bound_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
@@ -14,6 +16,9 @@ from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
 
 GUIDES = {"svi": MeanField, "svi-markov": Markov}
+
+PILOT = 1
+"""Place of the random numbers of the pilot (:func:`.seeds.derived`)."""
 
 
 def svi(
@@ -48,6 +53,8 @@ def svi(
         value, error = bound(fitted, model, observations)
         with torch.no_grad():
             paths = fitted.distribution().sample((options.num_filters, options.num_draws))
+        pilot = second_opinion(model, observations, options, derived(seed, PILOT), start)
+        doubt = bound_doubt(value, paths[0, 0].numel(), pilot)
         return to_inference_data(
             problem,
             paths,
@@ -57,5 +64,10 @@ def svi(
             log_evidence=value,
             log_evidence_sd=error,
             bound=True,
-            diagnostics={"steps": steps, "converged": int(converged)},
+            diagnostics={
+                "steps": steps,
+                "converged": int(converged),
+                "usable": int(not doubt),
+                "doubt": doubt,
+            },
         )

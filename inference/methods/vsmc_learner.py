@@ -12,11 +12,13 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.progress import Report
-from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation
-from invdyn.inference.filters.filtering import SMCOptions, sufficient_dtype
+from invdyn.inference.filters.best_guide import second_opinion
+from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
@@ -30,6 +32,8 @@ WORTH = 0.01
 """Nats that training must gain to be kept."""
 PILOTS = 32
 """Filters of a pilot run."""
+PILOT = 1
+"""Place of the random numbers of a second opinion (:func:`.seeds.derived`)."""
 CHUNK = 500
 """Rows whose graph is held at once, of longer recordings."""
 
@@ -41,11 +45,12 @@ class Learner(ABC):
     target: StateSpaceModel
 
     def __init__(self, problem: StateSpaceProblem, options: SMCOptions, model: StateSpaceModel, start: Tensor | None):
-        self.problem, self.options = problem, options
+        self.problem, self.options, self.start = problem, options, start
         self.observations = problem.observations.double()
         self.smoother = gaussian_smoother(model, self.observations, start)
-        self.dtype = options.dtype or sufficient_dtype(self.smoother)
-        self.model = model.to(dtype=self.dtype, device=options.device)
+        precise = options.dtype or sufficient_dtype(self.smoother)
+        self.model = in_type(model, self.observations, options, precise)
+        self.dtype = self.model.dtype
         self.rows = self.observations.to(dtype=self.dtype, device=options.device)
 
     @abstractmethod
@@ -139,5 +144,11 @@ class AtParameters(Learner):
             smoother=self.smoother,
             progress=smoothing,
         )
+        pilot = second_opinion(self.model, self.observations, self.options, derived(seed, PILOT), self.start)
+        found = evidence(result.log_evidence, "vsmc", pilot)
         own = self.settings(settings)
-        return to_inference_data(self.problem, paths, result, method="vsmc", seed=seed, settings=own), []
+        doubts: dict[str, float | str] = {"usable": int(found.usable), "doubt": found.reason}
+        doubts["contradicted"] = found.contradicted
+        return to_inference_data(
+            self.problem, paths, result, method="vsmc", seed=seed, settings=own, diagnostics=doubts
+        ), []

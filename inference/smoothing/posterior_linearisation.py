@@ -236,6 +236,10 @@ def _recentred(linear: Linearisation, shift: np.ndarray) -> Linearisation:
 
 
 def gaussian_smoother(model: StateSpaceModel, observations: Tensor, start: Tensor | None = None) -> GaussianSmoother:
-    """Gauss–Newton from ``start`` (T, D), then linearised over the posterior; raises as :func:`gauss_newton` does."""
+    """Gauss–Newton from ``start`` (T, D), then linearised over the posterior.
+
+    Raises as :func:`gauss_newton` does, and ModelError for a transition without a density, as of a state without noise.
+    """
+    check_model(model, observations, needs=("gaussian_transition", "emission_of_state", "transition_density"))
     smoother = gauss_newton(model, observations, start=start)
     return posterior_linearisation(model, observations, smoother)

@@ -70,3 +70,20 @@ def test_a_confirmation_has_a_small_error_and_the_same_value():
     assert confirms(evidence(filters(-40, 0.2, 16), "defended"), ahead)
     assert not confirms(evidence(filters(-40 + math.log(2), 0.2, 16), "defended"), ahead)
     assert not confirms(evidence(filters(-40, 1.5, 16), "defended"), ahead)
+
+
+@pytest.mark.parametrize("sd", [1.0, 1.7, 2.0])
+def test_filters_that_differ_widely_are_not_believed_for_having_missed_the_tail(sd):
+    """Log Ẑ is N(−sd²/2, sd²), log Z zero: the outer ESS often looks well where no filter has reached the tail."""
+    torch.manual_seed(0)
+    found = [evidence(each, "bootstrap") for each in sd * torch.randn(600, 64).double() - sd**2 / 2]
+    usable = [each for each in found if each.usable]
+    assert sum(abs(each.log_evidence) > 3 * each.sd for each in usable) <= 0.025 * len(found)
+    assert len(usable) > 0.8 * len(found) or sd > 1
+
+
+def test_filters_that_lost_their_observations_do_not_spoil_the_others():
+    torch.manual_seed(0)
+    values = 0.3 * torch.randn(64).double()
+    values[:5] -= 20
+    assert evidence(values, "controlled").usable
