@@ -13,7 +13,7 @@ COMPILE := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m compileall -qq -j 0 -
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
-	@echo "make test-all run the longer tests, which CI runs as well"
+	@echo "make test-all run the longer tests"
 	@echo "make lint     check style, format and types"
 	@echo "make docs     build the documentation site into build/site, and check its links and pages"
 	@echo "make notebooks  execute the notebooks into docs/tutorials"
@@ -31,7 +31,7 @@ demo: $(VENV)/.use
 test: $(VENV)/.development
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-# The longer ones: sweeps of malformed files, metamorphic relations, kills.
+# The longer ones, marked "long": sweeps of malformed files, metamorphic relations, kills. `.ci/run` runs them too.
 test-all: $(VENV)/.development
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
 

@@ -80,8 +80,7 @@ def measure(
     """Run one size in this process."""
     import torch
 
-    from invdyn.inference import SMCOptions, backward_simulation, outer_weights, run_filters
-    from invdyn.inference.methods.smc import adapted_smoother
+    from invdyn.inference import SMCOptions, adapted_smoother, backward_simulation, outer_weights, run_filters
 
     torch.set_num_threads(threads)
     torch.manual_seed(0)

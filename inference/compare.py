@@ -83,6 +83,8 @@ def compare(
         raise InputError(f"expected methods among {', '.join(METHODS)}, got {unknown[0]!r}")
     if not methods:
         raise InputError(f"expected at least one method among {', '.join(METHODS)}")
+    if replicates < 1:
+        raise InputError(f"expected at least one replicate, got {replicates}")
     if not 0 <= held_out < 1:
         raise InputError(f"expected a share of rows to hold out from 0 up to 1, got {held_out}")
     if isolate and executor is not None:

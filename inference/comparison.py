@@ -275,6 +275,8 @@ def evidence(idata: az.InferenceData) -> dict[str, object]:
     statistics, found = idata["sample_stats"], idata.attrs
     if math.isnan(found["log_evidence"]):
         kind = ""
+    elif "evidence_kind" in statistics.attrs:
+        kind = str(statistics.attrs["evidence_kind"])
     elif "ess" in statistics:
         kind = "estimate"
     else:

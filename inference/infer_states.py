@@ -8,12 +8,14 @@ InferenceData. Parameters are those of the model; ones with a prior need a metho
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import arviz as az
 import numpy as np
 import torch
+from pyro.distributions import Distribution
 
 from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
@@ -82,6 +84,7 @@ def infer_states(
     num_filters: int | None = None,
     num_particles: int | None = None,
     num_draws: int | None = None,
+    smoothing: str = "backward",
     seed: int = 0,
     progress: Progress | None = None,
     device: str = "cpu",
@@ -99,6 +102,8 @@ def infer_states(
         method: a key of ``METHODS`` that needs no body, or of ``PARAMETER_METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter; by default 64, 100 and 4. Of
             "pmmh" and "smc2" particles and draws have the meaning and the default that these have.
+        smoothing: of particle filters, "backward", which needs a transition density, or "genealogy", which also takes a
+            state without noise.
         seed: same seed, same result.
         progress: called with (done, total, what).
         device: of the particle filters, "cpu" or "cuda".
@@ -116,7 +121,7 @@ def infer_states(
     """
     sizes = {"num_filters": num_filters, "num_particles": num_particles, "num_draws": num_draws}
     given: dict[str, Any] = {size: value for size, value in sizes.items() if value is not None}
-    options = SMCOptions(**given, device=device, filters_per_task=filters_per_task)
+    options = SMCOptions(**given, smoothing=smoothing, device=device, filters_per_task=filters_per_task)
     if method in PARAMETER_METHODS:
         arguments = given | arguments
     return state_space_task(model, rows, options, seed, checkpoint, name, {method: arguments}).run(
@@ -136,16 +141,30 @@ def state_space_task(
     """Check a model against its rows, and bind them."""
     options.check()
     problem = StateSpaceProblem(model, check_model(model, rows), name=name)
-    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problem, options, seed))
-    return StateSpaceTask(problem, options, seed, kept, arguments or {})
+    arguments = arguments or {}
+    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problem, options, seed, arguments))
+    return StateSpaceTask(problem, options, seed, kept, arguments)
 
 
-def _fingerprint(problem: StateSpaceProblem, options: SMCOptions, seed: int) -> dict[str, Any]:
+def _fingerprint(
+    problem: StateSpaceProblem, options: SMCOptions, seed: int, arguments: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """All that the numbers of a run depend on."""
     model = problem.model
     return {
+        "version": version("invdyn"),
         "model": type(model).__qualname__,
+        "priors": {name: _described(prior) for name, prior in model.priors.items()},
+        "arguments": repr(arguments),
         "parameters": digest(*(model.parameters[name] for name in sorted(model.parameters))),
         "rows": digest(problem.observations),
         "options": repr(options),
         "seed": seed,
     }
+
+
+def _described(prior: Distribution) -> str:
+    """The family of a prior, and its numbers."""
+    base = getattr(prior, "base_dist", prior)
+    numbers = {name: getattr(base, name).tolist() for name in sorted(base.arg_constraints) if hasattr(base, name)}
+    return f"{type(base).__name__} {numbers} {tuple(prior.batch_shape)} {tuple(prior.event_shape)}"

@@ -82,7 +82,7 @@ def label(
             numbers = _surprising(source, posterior, count, labelled)
     server = LabelServer(numbers, read_pictures(source, numbers), names, out, suggest)
     with server:
-        typer.echo(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
+        say(f"{len(numbers)} pictures to label: {server.address} (Ctrl-C ends it, too)")
         if browser:
             webbrowser.open(server.address)
         with suppress(KeyboardInterrupt):  # each label is written when it is set

@@ -191,7 +191,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def quantiles(idata: az.InferenceData, variable: str, group: str = "posterior") -> np.ndarray:
-    """QUANTILES (5, time, …) of a variable's draws, the filters weighted by their evidence."""
+    """QUANTILES (5, time, …) of a variable's draws."""
     draws = pooled(idata, group=group)[variable]
     return np.quantile(draws.transpose("sample", "time", ...).values, QUANTILES, axis=0)
 

@@ -44,11 +44,11 @@ def check_before(
         warnings.warn(f"{given.name}: {wrong.words}", stacklevel=2)
     if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
-        refuse(f"{given.name}: {what}; `invdyn check` says more, and --force goes on", force)
+        refuse(f"{given.name}: {what}; `invdyn check` says more", force)
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body)
         if _sure(wrong, body) and effect is None and n == 0:
-            refuse(f"{said}; `invdyn check` says more, and --force goes on", force)
+            refuse(f"{said}; `invdyn check` says more", force)
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
     if checked.unclear and given.angles is not None:  # a film's accelerations are too noisy to tell

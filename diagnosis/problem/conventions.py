@@ -33,8 +33,8 @@ LEVER = 0.02
 def refuse(message: str, force: bool) -> None:
     """Raise InputError for a mistake in a recording, or, by ``force``, warn of what would have been refused."""
     if not force:
-        raise InputError(message)
-    warnings.warn(f"{message}. Refused but for --force", stacklevel=3)
+        raise InputError(f"{message}; --force goes on")
+    warnings.warn(f"{message}; goes on, by --force", stacklevel=3)
 
 
 def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: Tensor, force: bool = False) -> None:

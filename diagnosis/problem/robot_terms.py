@@ -124,11 +124,6 @@ class RobotTerms:
         return replace(self, told=self.told - stiffness * shift, angle=angle)
 
     @property
-    def has_targets(self) -> bool:
-        """Whether there are servos."""
-        return any(self.by_target)
-
-    @property
     def by_target(self) -> tuple[bool, ...]:
         """Whether each joint's log has a servo's target, and no torque."""
         return tuple(motor is not None for motor in servos(self.body, self.told.shape[1]))

@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
@@ -35,8 +34,9 @@ from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, confirms, evidence, exceeds
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
-from invdyn.models.divergence import Diverged
+from invdyn.models.divergence import Diverged, Singular, diverging
 from invdyn.models.state_space import StateSpaceModel
+from invdyn.recordings.errors import first_line
 
 PILOT_FILTERS = 16
 """Filters of a bootstrap pilot. That of a model without a start of its own has as many particles in all as the run."""
@@ -148,25 +148,27 @@ def best_guide(
     """
     options = options or SMCOptions()
     if seed is not None:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with seeded(seed, options.device):
             return best_guide(model, observations, options, start=start)
     # Without a start of the model's own, the pilot's particles tell where its modes may be.
     searched = start is None and not has_own_start(model)
     opinion, blind = _blind(model, observations, options) if searched else (None, None)
+    pilot_size = min(options.num_particles, 100)
     try:
-        like = look_alike(model)
-        smoother, log_evidence = adapted(model, observations, options, start, blind)
-        name = "controlled" if exact_closed_form(like, smoother.path) and like is model else "defended"
-        if log_evidence is None:
-            log_evidence = run_filters(model, observations, _few(options), smoother=smoother, keep=0).log_evidence
+        with diverging():
+            like = look_alike(model)
+            smoother, log_evidence = adapted(model, observations, options, start, blind)
+            name = "controlled" if exact_closed_form(like, smoother.path) and like is model else "defended"
+            if log_evidence is None:
+                pilot_size = options.num_particles
+                log_evidence = run_filters(model, observations, _few(options), smoother=smoother, keep=0).log_evidence
     # A model of one's own may raise anything where a linearisation leads it: outside of a support, of a domain.
     except (TypeError, ValueError, NotImplementedError, AttributeError, Diverged, SMCFailed) as error:
         few = _affordable(opinion, options, len(observations))
-        return Guide("bootstrap", None, few, reason=str(error).splitlines()[0])
+        return Guide("bootstrap", None, few, reason=first_line(error))
     if not searched:
         opinion, _ = _blind(model, observations, options, keep=0)
-    ahead = _Pilot(name, log_evidence, min(options.num_particles, 100))
+    ahead = _Pilot(name, log_evidence, pilot_size)
     size, doubt = options.num_particles, ""
     doubted = not ahead.found.standing or (opinion is not None and exceeds(opinion.found, ahead.found))
     if searched or doubted:
@@ -256,8 +258,9 @@ def _defended(
     model: StateSpaceModel, observations: Tensor, options: SMCOptions, smoother: GaussianSmoother
 ) -> list[_Pilot]:
     try:
-        result = run_filters(model, observations, _few(options), guide="defended", smoother=smoother, keep=0)
-    except SMCFailed:
+        with diverging():
+            result = run_filters(model, observations, _few(options), guide="defended", smoother=smoother, keep=0)
+    except (SMCFailed, Singular):
         return []
     return [_Pilot("defended", result.log_evidence.cpu(), options.num_particles)]
 

@@ -80,7 +80,7 @@ def fixed_lag(
     Raises ValueError for a negative lag, and as :func:`filter_rows`.
     """
     if lag < 0:
-        raise ValueError(f"expected a lag of no or more rows, got {lag}")
+        raise ValueError(f"expected a lag of 0 rows or more, got {lag}")
     filtered = filter_rows(
         model,
         rows,

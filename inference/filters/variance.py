@@ -125,4 +125,4 @@ def _check(result: FilterResult, lag: int | None) -> None:
     if size < 2:
         raise ValueError(f"expected at least two particles, got {size}: the variance is that between them")
     if lag is not None and lag < 0:
-        raise ValueError(f"expected a lag of no or more rows, got {lag}")
+        raise ValueError(f"expected a lag of 0 rows or more, got {lag}")

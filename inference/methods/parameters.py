@@ -49,6 +49,14 @@ def learn_parameters(
     if found.paths is None:
         raise ValueError("expected a trajectory of each draw, got none: leave paths=False out")
 
+    statistics: dict[str, float | str] = dict(found.statistics)
+    if not statistics.get("usable", 1):
+        scatter = statistics["log_likelihood_sd"]
+        statistics |= {
+            "usable": 0,
+            "doubt": f"log Ẑ scatters by {scatter:.1f} nats at one parameter: use more particles",
+        }
+
     # Parameters (C, R, own shape) meet states (C, R, T, D).
     each = problem.model.replace(**{name: values.unsqueeze(2) for name, values in found.draws.items()})
     with seeded(derived(seed, PREDICTIVE)), torch.no_grad():
@@ -64,7 +72,8 @@ def learn_parameters(
                 "acceptance": float(found.acceptance.mean()),
                 "num_particles": found.num_particles,
                 "weight_ess": found.ess,
-                **found.statistics,
+                "evidence_kind": "estimate",
+                **statistics,
             },
             parameters=found.draws,
             log_weights=found.log_weights,

@@ -50,7 +50,8 @@ def particle_gibbs(
         checkpoint: keeps the guide and the chains that are done, and goes on from there.
         warmup, thin: sweeps that are thrown away at first, and sweeps from one draw to the next.
 
-    The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any torque, over
+    The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any number
+    that the problem monitors, over
     all sweeps after the warm-up. Raises InputError for fewer than 2 particles, or a body that is uncertain; LostWork
     when a task's workers died each time.
     """

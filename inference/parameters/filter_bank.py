@@ -75,7 +75,7 @@ class FilterBank:
                 drawn, increment = guide.propose(self.row, before)
             seen = ~torch.isnan(y)
             if bool(seen.any()):
-                emission = guide.model.emission(drawn["x"], self.row)
+                emission = guide.model.row_emission(before.get("x"), drawn["x"], self.row)
                 increment = increment + row_log_prob(emission, y, None if bool(seen.all()) else seen)
         if "log_twist" in drawn:
             increment = increment + drawn["log_twist"] - before.get("log_twist", 0.0)

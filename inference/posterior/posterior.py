@@ -261,7 +261,9 @@ def _doubts(parts: Sequence[az.InferenceData], outer: OuterWeights) -> dict[str,
     if not all("usable" in each for each in attributes):
         return {}
     # A part of few filters may well be uneven by itself: what counts is its guide against the pilot's.
-    reasons = [scatter_doubt(evidence(outer, ""))] + [str(each["contradicted"]) for each in attributes]
+    reasons = [scatter_doubt(evidence(outer, ""))] + [
+        str(each.get("contradicted", each["doubt"])) for each in attributes
+    ]
     reason = next((each for each in reasons if each), "")
     return {"usable": int(not reason), "doubt": reason}
 
@@ -269,7 +271,7 @@ def _doubts(parts: Sequence[az.InferenceData], outer: OuterWeights) -> dict[str,
 def evidence_note(idata: az.InferenceData) -> str:
     """Text "not usable: …" where the evidence does not stand, else empty."""
     attributes = idata["sample_stats"].attrs
-    return "" if attributes.get("usable", 1) else f"not usable: {attributes['doubt']}"
+    return "" if attributes.get("usable", 1) else f"not usable: {attributes.get('doubt', '')}"
 
 
 def pooled(idata: az.InferenceData, group: str = "posterior") -> xr.Dataset:

@@ -14,12 +14,11 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
+from ..budget import YAML, read_document
 from ..errors import InputError
 
 TICKS = 4096
 """A turn."""
-MAX_BYTES = 1 << 20
-"""Of a calibration, which has some hundred a motor."""
 
 
 def calibrated_range(path: Path, track: str, where: str) -> tuple[float, float]:
@@ -50,10 +49,9 @@ def _motors(path: Path, where: str) -> dict[str, Any]:
     """What a calibration has of each motor."""
     if not path.is_file():
         raise InputError(f"{where}: no calibration {path}: expected LeRobot's .json, or range = [low, high]")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(f"{where}: {path} has more than {MAX_BYTES} bytes: expected LeRobot's calibration")
+    text = read_document(path, YAML)
     try:
-        motors = json.loads(path.read_text(encoding="utf-8"))
+        motors = json.loads(text)
     except (ValueError, RecursionError):
         motors = None
     if not isinstance(motors, dict) or not motors:

@@ -146,10 +146,12 @@ def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, comma
     files = ("smc.nc", "laplace.nc") if command == "compare" else ("posterior.nc", "diagnosis.json")
     kills = 0
     while True:
-        process = started(*KILLED, *call, "--checkpoint", "kept", "--out", "parts", stderr=subprocess.DEVNULL)
-        if process.wait() == 0:
-            break
-        assert process.returncode in (-signal.SIGKILL, 2)  # 2: where a copy was killed, which the first process says
+        with open("errors", "w") as errors:
+            process = started(*KILLED, *call, "--checkpoint", "kept", "--out", "parts", stderr=errors)
+            if process.wait() == 0:
+                break
+        said = Path("errors").read_text()
+        assert process.returncode in (-signal.SIGKILL, 2), said  # 2: a copy was killed, which the first process says
         assert not Path("parts").exists()
         kills += 1
     assert kills > 0

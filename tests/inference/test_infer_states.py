@@ -13,6 +13,7 @@ from invdyn.inference import compare_methods, infer_states, load_posterior, pool
 from invdyn.inference.contract import ModelError
 from invdyn.inference.infer_states import generic_methods
 from invdyn.inference.methods.registry import PARAMETER_METHODS, WITHOUT_EVIDENCE
+from invdyn.models import StateSpaceModel
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning"),
@@ -150,6 +151,38 @@ def test_parameters_with_priors_are_learned(method):
     assert idata["posterior"]["state"].shape[2:] == (T, 1)
     assert np.isfinite(az.loo(idata, var_name="y").elpd_loo)
     assert "mean" not in idata["constant_data"]
+
+
+class Pair(StateSpaceModel):
+    """An autoregression of order two as a pair: the second state is the first one's past, without noise."""
+
+    state_dim, observation_dim, num_steps = 2, 1, T
+
+    def initial(self):
+        return Normal(torch.zeros(2, dtype=torch.float64), 1.0).to_event(1)
+
+    def transition(self, state, t):
+        now = 0.6 * state[..., :1] + 0.2 * state[..., 1:]
+        mean = torch.cat([now, state[..., :1]], -1)
+        scale = torch.tensor([0.25, 0.0], dtype=torch.float64)
+        return Normal(mean, scale, validate_args=False).to_event(1)
+
+    def emission(self, state, t):
+        return Normal(state[..., :1], 0.5).to_event(1)
+
+
+def test_a_state_without_noise_is_smoothed_along_its_genealogy():
+    model = Pair()
+    _, rows = model.simulate(seed=2)
+    with pytest.raises(ModelError, match="genealogy"):
+        infer_states(model, rows, method="bootstrap")
+    idata = infer_states(model, rows, method="bootstrap", smoothing="genealogy", num_particles=400, seed=0)
+    states = idata["posterior"]["state"].values
+    np.testing.assert_allclose(states[..., 1:, 1], states[..., :-1, 0], atol=1e-12)
+    A, noise = np.array([[0.6, 0.2], [1.0, 0.0]]), np.diag([0.25**2, 0.0])
+    chain = Chain(A, noise, np.array([[1.0, 0.0]]), np.array([[0.25]]), np.zeros(2), np.eye(2))
+    evidence = kalman(chain, rows.numpy())[0]
+    assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=4 * idata.attrs["log_evidence_sd"])
 
 
 def test_learning_parameters_needs_priors(linear):

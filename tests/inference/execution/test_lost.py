@@ -74,7 +74,8 @@ def cluster(tmp_path):
     for _ in range(2):
         started("dask_worker", "--no-nanny", "--nthreads", "1", "--no-dashboard")
     try:
-        wait_until(file.exists)
+        # It is written in several steps.
+        wait_until(lambda: file.exists() and file.read_text().rstrip().endswith("}"))
         yield {"scheduler": processes[:1], "workers": processes[1:]}, json.loads(file.read_text())["address"]
     finally:
         for process in processes:
@@ -98,9 +99,10 @@ def test_a_cluster_that_is_gone_is_one_line(cluster, tmp_path, monkeypatch, kill
             for process in processes[killed]:
                 os.kill(process.pid, signal.SIGKILL)
 
-        killer = Thread(target=kill_once_begun)
+        killer = Thread(target=kill_once_begun, daemon=True)
         killer.start()
         with pytest.raises(LostWork, match="part 0 could not be had") as lost:
             distribute(parts.without_end, [(told,)], ["part 0"], executor=executor)
-        killer.join()
+        killer.join(60)
+        assert not killer.is_alive()
         assert "\n" not in str(lost.value)

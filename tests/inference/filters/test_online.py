@@ -200,7 +200,7 @@ def test_fixed_lag_agrees_with_rts_of_as_many_rows(chain, y, lag, threshold):
 
 
 def test_a_negative_lag_is_refused(chain, y):
-    with pytest.raises(ValueError, match="lag of no or more rows"):
+    with pytest.raises(ValueError, match="lag of 0 rows or more"):
         fixed_lag(chain.model(T), y, 5, lag=-1, seed=0)
 
 

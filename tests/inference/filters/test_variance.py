@@ -117,7 +117,7 @@ def test_a_twisted_filter_counts_its_twist(chain):
     [
         (5, 10, None, "kept all 12 rows, got 5"),
         (None, 1, None, "at least two particles"),
-        (None, 10, -1, "lag of no or more rows"),
+        (None, 10, -1, "lag of 0 rows or more"),
     ],
 )
 def test_what_it_cannot_do_is_refused(chain, keep, particles, lag, message):
