@@ -354,7 +354,7 @@ def a_generated_column(folder, rng):
     def change(database):
         database.execute("ALTER TABLE messages RENAME TO own")
         columns = "id INTEGER, topic_id INTEGER, timestamp INTEGER"
-        database.execute(f"CREATE TABLE messages ({columns}, data BLOB AS (zeroblob({2 ** rng.randint(20, 30)})))")
+        database.execute(f"CREATE TABLE messages ({columns}, data BLOB AS (zeroblob({2 ** rng.randint(20, 29)})))")
         database.execute("INSERT INTO messages SELECT id, topic_id, timestamp FROM own")
 
     return edit(folder, change)
