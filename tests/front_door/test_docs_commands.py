@@ -25,7 +25,8 @@ LEFT_OUT = pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarn
 """What a robot's file has besides is told."""
 RUN = {
     "": None,  # commands: test_docs.py parses them, test_docs_inline.py what is not ours
-    "text": {ROOT / "docs" / "blind_protocol.md"},  # names of files, and words for another program's command
+    # Names of files, words for another program's command, and an error's line.
+    "text": {ROOT / "docs" / "blind_protocol.md", ROOT / "docs" / "how-to" / "own_model.md"},
     "python": {*GUIDES, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "files.md"},
     "toml": {*GUIDES, ROOT / "docs" / "files.md"},
     "csv": {ROOT / "docs" / "files.md"},
