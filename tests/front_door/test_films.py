@@ -105,7 +105,10 @@ def test_bad_input_is_one_line(folder, run, contents, call, message):
     [
         ("frame,elbow_x,elbow_y\n0,1,2\n1,3,4\n", "2 labelled pictures are too few"),
         ("frame,elbow_x,elbow_y\n" + "".join(f"{n},1,2\n" for n in range(78, 84)), "f.mov: there is no picture 80"),
-        ("frame,elbow_x,elbow_y\n" + "".join(f"{n},100,2\n" for n in range(9)), "f.mov: a label lies outside its"),
+        (
+            "frame,elbow_x,elbow_y\n" + "".join(f"{n},100,2\n" for n in range(9)),
+            "f.mov: elbow of picture 0 lies outside its",
+        ),
         ("frame,elbow_x\n1,2\n", "l.csv: column 'elbow_y': expected 'frame'"),
         ("frame,elbow_x,elbow_y\n1,x,2\n", "l.csv: row 1 (line 2), column 'elbow_x': 'x' is not a number"),
         ("", "l.csv: the file is empty"),
