@@ -7,6 +7,7 @@ import oracles
 import pyro.distributions as dist
 import pytest
 import torch
+from grids import Leverage
 from parameter_answers import kalman_log_likelihood, simulated
 
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter
@@ -35,6 +36,17 @@ def test_it_has_the_bits_of_the_particle_filter_with_many_parameter_sets(name):
         filtered = ParticleFilter(batch, Bootstrap(batch), 40, num_filters=5).run(y)
     with seeded(2):
         bank = run_bank(batch, y, 5, 40)
+    assert filtered.resampled.any()
+    assert torch.equal(bank.log_evidence, filtered.log_evidence)
+
+
+def test_an_emission_that_sees_the_state_before_is_weighed_as_such():
+    model = Leverage(15)
+    _, y = model.simulate(seed=1)
+    with seeded(2):
+        filtered = ParticleFilter(model, Bootstrap(model), 40, num_filters=5).run(y)
+    with seeded(2):
+        bank = run_bank(model, y, 5, 40)
     assert filtered.resampled.any()
     assert torch.equal(bank.log_evidence, filtered.log_evidence)
 

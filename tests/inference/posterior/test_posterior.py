@@ -270,6 +270,21 @@ def test_parts_are_combined_by_their_evidence():
     assert idata.attrs["log_evidence"] == pytest.approx(float(evidence.exp().mean().log()))
 
 
+@pytest.mark.parametrize("doubt", ["", "its bound is low"])
+def test_parts_of_a_method_without_filters_hand_on_their_doubts(doubt):
+    problem, paths, _, _ = make()
+
+    def part(chains, reason):
+        own = {"usable": int(not reason), "doubt": reason}
+        return to_inference_data(
+            problem, paths[chains], method="svi", seed=1, settings={}, log_evidence=-1.0, bound=True, diagnostics=own
+        )
+
+    found = combine([part(slice(0, 2), ""), part(slice(2, 4), doubt)], seed=3)["sample_stats"].attrs
+    assert found["usable"] == int(not doubt)
+    assert found["doubt"] == doubt
+
+
 def test_an_older_file_is_weighed_when_it_is_read(everything, tmp_path):
     idata = make()[-1]
     del idata.attrs["draws"]
