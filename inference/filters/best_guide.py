@@ -197,23 +197,18 @@ def has_own_start(model: StateSpaceModel) -> bool:
     return type(model).initial_paths is not StateSpaceModel.initial_paths
 
 
-def bootstrap_opinion(model: StateSpaceModel, observations: Tensor, options: SMCOptions) -> Evidence | None:
-    """Evidence of a bootstrap pilot; None where it collapses. Random numbers are torch's own (global seed)."""
-    pilot, _ = _blind(model, observations, options, keep=0)
-    return None if pilot is None else pilot.found
-
-
 def second_opinion(
     model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, start: Tensor | None = None
 ) -> Evidence | None:
-    """:func:`bootstrap_opinion` by the random numbers of ``seed``, where a linearisation may end in a wrong mode.
+    """Evidence of a bootstrap pilot by the random numbers of ``seed``, where a linearisation may end in a wrong mode.
 
     None where the pilot collapses, and where a ``start`` or one of the model's own leads to the posterior.
     """
     if start is not None or has_own_start(model):
         return None
     with seeded(seed, options.device):
-        return bootstrap_opinion(model, observations, options)
+        pilot, _ = _blind(model, observations, options, keep=0)
+    return None if pilot is None else pilot.found
 
 
 def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:

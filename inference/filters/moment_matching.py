@@ -53,7 +53,7 @@ def matched(distribution: Distribution) -> Distribution:
 
     Raises TypeError where there is none: a support other than the real line, or no mean.
     """
-    if is_gaussian(distribution):
+    if has_gaussian_moments(distribution):
         return distribution
     support = distribution.support
     while isinstance(support, constraints.independent):
@@ -67,7 +67,7 @@ def matched(distribution: Distribution) -> Distribution:
     raise TypeError(NOT_MATCHED.format(distribution))
 
 
-def is_gaussian(distribution: Distribution) -> bool:
+def has_gaussian_moments(distribution: Distribution) -> bool:
     """Whether :func:`.state_space.gaussian_moments` takes it as it is."""
     try:
         gaussian_moments(distribution)
@@ -85,7 +85,7 @@ def look_alike(model: StateSpaceModel) -> StateSpaceModel:
         first = model.initial()
         state = first.expand(torch.Size((2,))).sample()
         later = model.transition(state, 1) if model.num_steps > 1 else first
-        if is_gaussian(first) and is_gaussian(later):
+        if has_gaussian_moments(first) and has_gaussian_moments(later):
             return model
         for each in (first, later):
             mean, root = gaussian_moments(matched(each))
@@ -111,4 +111,4 @@ def exact_closed_form(model: StateSpaceModel, path: Tensor) -> bool:
     """Whether dynamics are Gaussian, with a covariance that is the same in all states: what one gain a row serves."""
     with torch.no_grad():
         later = model.transition(path[:1], 1) if len(path) > 1 else model.initial()
-        return is_gaussian(model.initial()) and is_gaussian(later) and not noise_varies(model, path)
+        return has_gaussian_moments(model.initial()) and has_gaussian_moments(later) and not noise_varies(model, path)
