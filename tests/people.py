@@ -1,7 +1,6 @@
 """Networks in place of BlazePose's: they see coloured discs, so that what is around them can be checked to a pixel."""
 
 import numpy as np
-import torch
 
 from invdyn.recordings.tracking.blazepose import ANCHORS, DETECTOR_SIDE, LANDMARKS_SIDE
 
@@ -16,7 +15,7 @@ LANDMARK = {33: "hips", 34: "circle", 12: "shoulder", 14: "elbow", 16: "wrist"}
 
 
 def person(middle, turn=0.0, tall=60.0):
-    """Places of a person's discs, px, who stands with the head up, or is turned clockwise."""
+    """Places of a person's discs, px, who stands with the head up, or is rotated clockwise."""
     cos, sin = np.cos(turn), np.sin(turn)
     upright = {"hips": (0, 0), "circle": (0, -1), "shoulder": (0.2, -0.6), "elbow": (0.45, -0.5), "wrist": (0.5, -0.2)}
     rotation = tall * np.array([[cos, -sin], [sin, cos]])
@@ -45,7 +44,7 @@ def centres(picture, name):
 
 def detector(pictures):
     """People by the two discs that say where they are: (1, anchors, 12) and scores (1, anchors, 1)."""
-    picture = (pictures[0].numpy() + 1) / 2
+    picture = (pictures[0] + 1) / 2
     boxes, scores = np.zeros((len(ANCHORS), 12)), np.full((len(ANCHORS), 1), -10.0)
     circles = centres(picture, "circle")
     for hips in centres(picture, "hips"):
@@ -55,12 +54,12 @@ def detector(pictures):
             both = (np.stack([hips, circle]) + 0.5) / DETECTOR_SIDE
             boxes[anchor, 4:8] = ((both - ANCHORS[anchor]) * DETECTOR_SIDE).ravel()
             scores[anchor] = score
-    return [torch.tensor(boxes[None]), torch.tensor(scores[None])]
+    return [boxes[None], scores[None]]
 
 
 def landmarks(pictures):
-    """The discs nearest to the middle: (1, 195), presence, and maps that are not sure."""
-    picture = pictures[0].numpy()
+    """The discs nearest to the middle: (1, 195), presence, and maps whose peaks are low."""
+    picture = pictures[0]
     rows = np.zeros((39, 5))
     found = [centres(picture, name) for name in LANDMARK.values()]
     present = all(len(each) for each in found)
@@ -68,5 +67,5 @@ def landmarks(pictures):
         for k, each in zip(LANDMARK, found, strict=True):
             middle = each[np.hypot(*(each - LANDMARKS_SIDE / 2).T).argmin()]
             rows[k] = [*(middle + 0.5), 0, 4.0, 4.0]
-    maps = torch.full((1, 64, 64, 39), -20.0)
-    return [torch.tensor(rows.reshape(1, -1)), torch.tensor([[1.0 if present else 0.0]]), None, maps, None]
+    maps = np.full((1, 64, 64, 39), -20.0)
+    return [rows.reshape(1, -1), np.array([[1.0 if present else 0.0]]), None, maps, None]
