@@ -141,9 +141,7 @@ class Diagnosed(Recorded):
 
     def load(self) -> dict[str, Any]:
         """Read all of it: keyword arguments of `diagnosis.diagnose`. Raises as readers do."""
-        from .inputs import load_body
-
-        body = freed(load_body(self.body, filmed=not self.of_logs), self.free)
+        body = freed(self.read_body(filmed=not self.of_logs), self.free)
         if self.calibration:
             return self.arguments(self.triangulated(), [], body, None)
         recording, *more = self.episodes_of(self.recording, body, self.numbers, self.frames)

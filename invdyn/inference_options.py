@@ -107,7 +107,7 @@ class Inference(Recorded):
         """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
         from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES
 
-        from .inputs import load_body, load_known
+        from .inputs import load_known
         from .inputs_of_cameras import load_from_cameras
 
         recording: Any
@@ -126,7 +126,7 @@ class Inference(Recorded):
             )
         else:
             self._check_no_cameras()
-            body = load_body(self.body)
+            body = self.read_body()
             recording = self.read(self.recording, body, frames=self.frames)
         return {
             "recording": recording,

@@ -12,6 +12,7 @@ from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import Body, Tree
 from invdyn.models import load_body as read_body
 from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.models.bodies.body_xml import is_xml
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.recordings import (
     FORMATS,
@@ -34,20 +35,22 @@ from invdyn.recordings.logs import LogMap, recordings_of
 from invdyn.recordings.logs.mapping import JointMap
 from invdyn.recordings.logs.read import Logged, kind_of
 from invdyn.recordings.naming import closest
-from invdyn.recordings.plane import FLAT
+from invdyn.recordings.plane import FLAT, in_space
 from invdyn.recordings.reading import Reading
 
 from .inputs_in_space import load_in_space
 from .named_files import body_file
 
 
-def load_body(name: str, *, filmed: bool = True) -> Body | Tree:
+def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body | Tree:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
 
+    A robot of parallel hinges is a body in space if its ``recording``, read with ``options``, has three coordinates.
     ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
     """
     with body_file(name) as path:
-        return read_body(path, filmed=filmed)
+        shown = recording is not None and is_xml(path.read_bytes()) and in_space(load(recording, **options))
+        return read_body(path, filmed=filmed, dimensions=3 if shown else None)
 
 
 def load_planar(name: str, what: str) -> Body:

@@ -117,6 +117,14 @@ class Recorded:
             "--plane": self.plane,
         }
 
+    def read_body(self, *, filmed: bool = True) -> Any:
+        """The body, of as many dimensions as the recording shows of a robot's file; see `inputs.load_body`."""
+        from .inputs import is_log, load_body
+
+        recording = None if self.plane or self.calibration or is_log(self.recording) else self.recording
+        options = {name: getattr(self, name) for name in ("units", "fps", "format", "scale", "individual")}
+        return load_body(self.body, filmed=filmed, recording=recording if filmed else None, **options)
+
     def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
         """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
         from .inputs import load_recording

@@ -15,10 +15,9 @@ from .bodies.tree import Tree as Tree
 from .conditionally_linear import ConditionallyLinear as ConditionallyLinear
 from .dynamics.integrators import INTEGRATORS as INTEGRATORS
 from .dynamics.interface import Dynamics as Dynamics
-from .dynamics.planar_recursive import RecursiveDynamics as RecursiveDynamics
-from .dynamics.planar_symbolic import SymbolicDynamics as SymbolicDynamics
+from .dynamics.planar import planar_dynamics as planar_dynamics
 from .dynamics.registry import dynamics_for as dynamics_for
-from .dynamics.registry import planar_dynamics as planar_dynamics
+from .dynamics.symbolic import SymbolicDynamics as SymbolicDynamics
 from .finite import FiniteStateModel as FiniteStateModel
 from .finite import StateNumber as StateNumber
 from .kinematic import KinematicModel as KinematicModel

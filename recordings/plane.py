@@ -56,9 +56,22 @@ def planar(recording: Recording, plane: str, axes: Axes = OURS) -> Recording:
     return replace(recording, keypoints=np.stack([columns[axis] for axis in plane], axis=-1))
 
 
-def _moving(columns: Mapping[str, np.ndarray]) -> str:
+def in_space(recording: Recording) -> bool:
+    """Whether keypoints have three coordinates of which none is constant."""
+    points = recording.keypoints
+    if points.shape[-1] != 3 or not points.size:
+        return False
+    return not _constant(dict(zip(OURS, np.moveaxis(points, -1, 0), strict=True)))[1]
+
+
+def _constant(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, float], list[str]]:
+    """Each axis's range, and the axes that are constant."""
     spread = {axis: float(np.nanmax(values) - np.nanmin(values)) for axis, values in columns.items()}
-    constant = [axis for axis, size in spread.items() if size <= CONSTANT * max(spread.values())]
+    return spread, [axis for axis, size in spread.items() if size <= CONSTANT * max(spread.values())]
+
+
+def _moving(columns: Mapping[str, np.ndarray]) -> str:
+    spread, constant = _constant(columns)
     if len(constant) != 1:
         widest = "".join(sorted(sorted(spread, key=spread.__getitem__)[1:]))
         sizes = ", ".join(f"{axis} by {size:.3g}" for axis, size in spread.items())

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
-from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
+from invdyn.models.dynamics.planar import PlanarDynamics
+from invdyn.models.dynamics.symbolic import SymbolicDynamics
 
 F64 = torch.float64
-BOTH = pytest.mark.parametrize("kind", [SymbolicDynamics, RecursiveDynamics])
+BOTH = pytest.mark.parametrize("kind", [PlanarDynamics, SymbolicDynamics])
 JOINTS = pytest.mark.parametrize("K", [1, 2, 3, 4])
 
 METHODS = {

@@ -67,6 +67,7 @@ class ArmModel(StateSpaceModel):
         observation: what is observed; by default keypoints at all sites.
         torque: torque process; Ornstein–Uhlenbeck by default.
         command: (T, K) N·m, held from each row to the next, or None.
+        dynamics: "traced" (default), or of a planar chain "symbolic", the paper's own derivation by SymPy.
         integrator: "rk4" (default), "euler" (as printed) or "semi_implicit".
         substeps: integrator steps per row.
         parameters: values that replace the defaults, by dotted name, each broadcastable to its
@@ -74,7 +75,7 @@ class ArmModel(StateSpaceModel):
             "initial.angle", "initial.angle_scale", "initial.velocity",
             "initial.velocity_scale" (K,), "emission.…", "body.length" … (K,).
 
-    Raises ValueError for an unknown integrator, times that do not increase, a command or a parameter of
+    Raises ValueError for unknown dynamics or integrator, times that do not increase, a command or a parameter of
     the wrong shape, and sensors that the body has no place for; KeyError for an unknown parameter.
     """
 
@@ -88,13 +89,14 @@ class ArmModel(StateSpaceModel):
         *,
         torque: TorqueProcess | None = None,
         command: np.ndarray | Tensor | None = None,
+        dynamics: str = "traced",
         integrator: str = "rk4",
         substeps: int = 1,
         parameters: Mapping[str, Value] | None = None,
     ):
         if integrator not in INTEGRATORS:
             raise WrongValue(f"expected an integrator among {', '.join(INTEGRATORS)}, got {integrator!r}")
-        self.body, self.dynamics = body, dynamics_for(body)
+        self.body, self.dynamics = body, dynamics_for(body, dynamics)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
         self.effects = Composition((), filed(body))

@@ -24,7 +24,7 @@ from invdyn.models.articulated.drive import RowDrive
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation

@@ -20,11 +20,12 @@ from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.bodies.whole_file import read_whole
 
 
-def load_body(path: str | Path, *, filmed: bool = True) -> Body | Tree:
+def load_body(path: str | Path, *, filmed: bool = True, dimensions: int | None = None) -> Body | Tree:
     """Read a body file: TOML, MJCF or URDF; raises as `Body.load` and `Tree.from_mjcf` do.
 
-    A TOML says dimensions = 3 for a `Tree`. Of a robot a chain of hinges about one of the axes x, y and z is a `Body`,
-    whatever else a `Tree`. What a file is, its content says, not its name.
+    A TOML says dimensions = 3 for a `Tree`. A robot is a `Tree`, with every site of its file a keypoint, if
+    ``dimensions`` is 3, as where a recording shows it in space; by default a chain of hinges about one of the axes x,
+    y and z is a `Body`, and anything else a `Tree`. The content of a file says what it is, not its name.
 
     A chain in the plane has its centres of mass on the lines of its joints. A robot that has one beside them, and is
     not ``filmed`` in a plane, is a `Tree`, which takes it as it is; a warning (UserWarning) says so.
@@ -32,7 +33,7 @@ def load_body(path: str | Path, *, filmed: bool = True) -> Body | Tree:
     content = read_whole(path, body_xml.MOST_BYTES)
     if body_xml.is_xml(content):
         robot = robot_file.of(content, str(path))
-        kind = Body if is_planar_chain(robot.parts) else Tree
+        kind = Body if dimensions != 3 and is_planar_chain(robot.parts) else Tree
         if kind is Body and not filmed and (aside := masses_aside(robot, str(path))):
             words = "; ".join(aside)
             warnings.warn(f"{path}: taken as a body in space; in the plane it would leave out {words}", stacklevel=2)

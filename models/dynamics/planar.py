@@ -1,59 +1,49 @@
-"""What all dynamics of a planar chain share: how its tips move, written out, and how large it is.
+"""Dynamics of a planar chain: the programs of a tree whose hinges are parallel, traced from the chain's own numbers.
 
-A chain of K links has its K tips for sites. Angles φ, ω, α of the links are absolute, running sums of the joints'. With
-u = (cos φ, sin φ) and u⊥ = (−sin φ, cos φ), the tip of link k moves as
+The plane is x–y of the tree and all hinges are about z. A link's length places the next joint and its tip; its com
+lies along x, and of its moments of inertia only that about z enters:
 
-    ṗ_k = Σ_{i≤k} l_i ω_i u⊥_i        p̈_k = Σ_{i≤k} l_i (α_i u⊥_i − ω_i² u_i)
+    com (c, 0, 0)     inertia zz     position of joint k (length of link k−1, 0, 0)     tip (length, 0, 0)
 
-Sizes are of the chain stretched out beyond each joint. Interface, shapes and units: `interface.py`.
+All chains of as many joints share one object, and with it the machine code. Interface, shapes, units: `interface.py`.
 """
 
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.interface import Dynamics
+from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.tree import Tree
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
+from invdyn.models.dynamics.spatial.frames import Entry
+from invdyn.models.dynamics.traced.compiled import PAYS
+from invdyn.models.dynamics.traced.expressions import Graph, Scalar
+
+ALONG = {"com": "com", "sites": "length"}
+"""Vectors of the tree that lie along a link: the number of the chain that is their x."""
 
 
-def along(q: Tensor) -> Tensor:
-    """Unit vectors u along the links, (..., K, 2)."""
-    phi = q.cumsum(-1)
-    return torch.stack([phi.cos(), phi.sin()], -1)
+class PlanarDynamics(SpatialDynamics):
+    """A planar chain of K links, with p its `BodyParameters`; sites are the K tips, d is 2.
 
+    Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
+    """
 
-def across(u: Tensor) -> Tensor:
-    """Unit vectors u⊥, a quarter turn counter-clockwise from those along the links, (..., K, 2)."""
-    return torch.stack([-u[..., 1], u[..., 0]], -1)
+    space = 2
 
+    def __init__(self, num_joints: int, compile_after: float = PAYS):
+        if isinstance(num_joints, bool) or not isinstance(num_joints, int) or num_joints < 1:
+            raise ValueError(f"expected a whole number of joints ≥ 1, got {num_joints!r}")
+        super().__init__(_chain(num_joints), compile_after, rotors=True)
 
-class PlanarDynamics(Dynamics):
-    """A planar chain; see the top of the file."""
-
-    def site_velocities(self, q: Tensor, qd: Tensor, p: BodyParameters) -> Tensor:
-        """ṗ, (..., K, 2) m/s."""
-        omega = qd.cumsum(-1)
-        return ((p.length * omega).unsqueeze(-1) * across(along(q))).cumsum(-2)
-
-    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: BodyParameters) -> Tensor:
-        """p̈, (..., K, 2) m/s²."""
-        u, omega, alpha = along(q), qd.cumsum(-1), qdd.cumsum(-1)
-        turning = (p.length * alpha).unsqueeze(-1) * across(u) - (p.length * omega**2).unsqueeze(-1) * u
-        return turning.cumsum(-2)
-
-    def torque_of(self, q: Tensor, site: int, force: Tensor, p: BodyParameters) -> Tensor:
-        """Jᵀ F of a force (..., 2) N that pulls at a link's tip, (..., K)."""
-        turned = across(along(q)) * p.length.unsqueeze(-1)
-        lever = (turned[..., : site + 1, :] * force.unsqueeze(-2)).sum(-1)
-        moment = lever.flip(-1).cumsum(-1).flip(-1)
-        return torch.nn.functional.pad(moment, (0, q.shape[-1] - site - 1))
-
-    def typical_inertia(self, p: BodyParameters) -> Tensor:
-        """Σ I + m r² of the links from each joint outwards, (K,) kg·m²."""
-        return torch.stack([(inertia + mass * reach**2).sum() for mass, reach, inertia in _beyond(p)])
-
-    def typical_load(self, p: BodyParameters) -> Tensor:
-        """Σ m r g of them, held level, (K,) N·m."""
-        return torch.stack([(mass * reach).sum() for mass, reach, _ in _beyond(p)]) * p.gravity.norm()
+    def __reduce__(self) -> tuple:
+        """By its number of joints: programs are traced again, once for all copies that come to a process."""
+        return planar_dynamics, (self.num_joints,)
 
     def reach(self, p: BodyParameters) -> Tensor:
         """Sum of the links' lengths, m."""
@@ -63,11 +53,43 @@ class PlanarDynamics(Dynamics):
         """The links' lengths: a link's angle is seen by its ends."""
         return p.length
 
+    def _numbers_of_tree(self) -> BodyParameters:
+        """Of a chain of unit links: the base at the origin and gravity along −y are what programs may leave out."""
+        unit = torch.ones(self.num_joints, dtype=torch.float64)
+        return BodyParameters(unit, unit, unit, unit, unit.new_tensor([0.0, -9.81]), unit.new_zeros(2))
 
-def _beyond(p: BodyParameters) -> list[tuple[Tensor, Tensor, Tensor]]:
-    """Mass, reach of the centre of mass and inertia of the links from each joint outwards."""
-    pieces = []
-    for k in range(len(p.length)):
-        reach = torch.stack([p.length[k:j].sum() + p.com[j] for j in range(k, len(p.length))])
-        pieces.append((p.mass[k:], reach, p.inertia[k:]))
-    return pieces
+    def _entry(self, graph: Graph, known: Mapping[str, np.ndarray]) -> Entry:
+        own = super()._entry(graph, known)
+
+        def entry(field: str, *place: int) -> Scalar:
+            link, axis = place[0], place[-1]
+            if field == "mass":
+                return own("mass", link)
+            if field == "gravity":
+                return own("gravity", axis) if axis < 2 else 0.0
+            if field == "rotation":
+                return float(place[1] == axis)
+            if field == "inertia":
+                return own("inertia", link) if axis == 2 else 0.0
+            if field == "position" and link == 0:
+                return own("base", axis) if axis < 2 else 0.0
+            if axis:
+                return 0.0
+            return own("length", link - 1) if field == "position" else own(ALONG[field], link)
+
+        return entry
+
+
+def _chain(num_joints: int) -> Tree:
+    """A planar chain of unit links as a tree."""
+    links = [
+        SpatialLink(f"link{k}", Joint(f"joint{k}"), f"link{k - 1}" if k else WORLD, length=1.0, tip=f"tip{k}", mass=1.0)
+        for k in range(num_joints)
+    ]
+    return Tree("chain", links, (0.0, -9.81, 0.0))
+
+
+@cache
+def planar_dynamics(num_joints: int) -> PlanarDynamics:
+    """The `PlanarDynamics` of so many joints, one for all models of a process. Raises as the class does."""
+    return PlanarDynamics(num_joints)

@@ -1,7 +1,7 @@
 """Which dynamics a body has: one line for each kind of body.
 
 @dynamics_for.register
-def _(body: MyBody) -> Dynamics: ...
+def _(body: MyBody, engine: str = "traced") -> Dynamics: ...
 """
 
 from functools import singledispatch
@@ -11,29 +11,38 @@ from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.planar import PlanarDynamics
-from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
-from invdyn.models.dynamics.planar_symbolic import MAX_SYMBOLIC, PAYS, symbolic_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
+
+ENGINES = ("traced", "symbolic")
 
 
 @singledispatch
-def dynamics_for(body: ArticulatedBody) -> Dynamics:
-    """Return the `Dynamics` of a body.
+def dynamics_for(body: ArticulatedBody, engine: str = "traced") -> Dynamics:
+    """Return the `Dynamics` of a body: by traced programs, or, of a planar chain, by SymPy's "symbolic" equations.
 
-    Raises `TypeError` for a kind of body that has none here, `BodyError` for a tree with driven joints.
+    Raises `TypeError` for a kind of body that has none here, `BodyError` for a tree with driven joints, `ValueError`
+    for another engine or a body that it does not take.
     """
     raise TypeError(f"expected a body whose dynamics are known, got {body!r:.60}: register them by dynamics_for")
 
 
 @dynamics_for.register
-def _(body: Body) -> PlanarDynamics:
+def _(body: Body, engine: str = "traced") -> Dynamics:
+    if engine == "symbolic":
+        from invdyn.models.dynamics.symbolic import SymbolicDynamics
+
+        return SymbolicDynamics(body.num_joints)
+    _check_engine(engine)
     return planar_dynamics(body.num_joints)
 
 
 @dynamics_for.register
-def _(body: Tree) -> Dynamics:
+def _(body: Tree, engine: str = "traced") -> Dynamics:
     from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
+    if engine == "symbolic":
+        raise ValueError(f"body '{body.name}': symbolic dynamics are those of a planar chain: leave dynamics out")
+    _check_engine(engine)
     if body.driven_names:
         raise BodyError(
             f"body '{body.name}': expected no driven joints, got {', '.join(body.driven_names)}: a model has no motion "
@@ -42,11 +51,6 @@ def _(body: Tree) -> Dynamics:
     return SpatialDynamics(body)
 
 
-def planar_dynamics(num_joints: int) -> PlanarDynamics:
-    """Return the dynamics of a planar chain: symbolic for 1 to 4 joints, recursive for more.
-
-    Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
-    """
-    if num_joints in range(1, MAX_SYMBOLIC + 1):
-        return symbolic_dynamics(num_joints, PAYS)
-    return RecursiveDynamics(num_joints)
+def _check_engine(engine: str) -> None:
+    if engine not in ENGINES:
+        raise ValueError(f"expected dynamics among {', '.join(ENGINES)}, got {engine!r}")

@@ -33,7 +33,7 @@ from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Parameter, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.effects.scale import Scale

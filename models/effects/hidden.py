@@ -21,7 +21,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Effect, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.planar import across, along
 from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
 
 
@@ -75,12 +74,13 @@ class View:
     @cached_property
     def along(self) -> Tensor:
         """Of a planar chain unit vectors u along the links, (..., K, 2)."""
-        return along(self.q)
+        phi = self.q.cumsum(-1)
+        return torch.stack([phi.cos(), phi.sin()], -1)
 
     @cached_property
     def across(self) -> Tensor:
         """Of a planar chain unit vectors u⊥, a quarter turn counter-clockwise from the links, (..., K, 2)."""
-        return across(self.along)
+        return torch.stack([-self.along[..., 1], self.along[..., 0]], -1)
 
     @cached_property
     def velocity(self) -> Tensor:

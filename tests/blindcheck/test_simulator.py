@@ -11,7 +11,7 @@ from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.motion import LEAD, play, random_body, random_plan, replay
 from invdyn.blindcheck.simulator import World
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 
 pytest.importorskip("mujoco")
 

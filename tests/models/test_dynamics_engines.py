@@ -5,8 +5,7 @@ import pytest
 import torch
 from chains import BOTH, F64, JOINTS, assert_close, random_case
 
-from invdyn.models.dynamics import euler_lagrange
-from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
+from invdyn.models.dynamics.symbolic import SymbolicDynamics, derive
 
 
 class MuJoCo:
@@ -122,7 +121,7 @@ def test_two_uniform_rods_are_the_equations_that_the_paper_prints(kind):
 def test_the_symbolic_equations_of_one_rod_read_as_in_a_textbook():
     import sympy as sp
 
-    equations = euler_lagrange.derive(1)
+    equations = derive(1)
     D, h, c, (theta,), _ = equations.in_joint_angles()
     m, r, inertia = (equations.symbols[word][0] for word in ("mass", "com", "inertia"))
     gx, gy = equations.symbols["gravity"]
@@ -132,10 +131,10 @@ def test_the_symbolic_equations_of_one_rod_read_as_in_a_textbook():
 
 
 @JOINTS
-def test_the_symbolic_equations_in_joint_angles_are_the_generated_functions(K):
+def test_the_symbolic_equations_in_joint_angles_are_what_is_evaluated(K):
     import sympy as sp
 
-    equations = euler_lagrange.derive(K)
+    equations = derive(K)
     D, h, c, theta, thetadot = equations.in_joint_angles()
     p, q, qd, _ = random_case(K, 3)
     values = dict(zip([*theta, *thetadot], [*q.tolist(), *qd.tolist()], strict=True))

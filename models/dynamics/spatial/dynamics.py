@@ -9,10 +9,12 @@ each: where they do not, or where a gradient of them is asked for, a program tha
 
 import math
 import pickle
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +26,7 @@ from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
-from invdyn.models.dynamics.spatial.frames import Frames, frames_of
+from invdyn.models.dynamics.spatial.frames import Entry, Frames, frames_of
 from invdyn.models.dynamics.spatial.motion import Motion
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled, has_tangent, is_plain, is_there
 from invdyn.models.dynamics.traced.expressions import Graph, Scalar
@@ -46,11 +48,15 @@ class Driven(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """Parameters that came: the key of which of them are known to be 0 or ±1, and their common leading dimensions."""
+    """Parameters that came: the key of which of them are known to be 0 or ±1, and their common leading dimensions.
+
+    ``is_plain``: no transform of torch.func wraps them.
+    """
 
     p: TreeParameters
     structure: bytes
     batch: tuple[int, ...]
+    is_plain: bool
     is_differentiated: bool
     has_tangent: bool
 
@@ -65,9 +71,11 @@ class SpatialDynamics(Dynamics):
     Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
     """
 
+    space: ClassVar[int] = 3
+
     def __init__(self, tree: Tree, compile_after: float = PAYS, rotors: bool = False):
         self.tree, self.num_joints = tree, tree.num_joints
-        self._nominal = tree.parameters()
+        self._nominal = self._numbers_of_tree()
         self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
         self._patterns: dict[bytes, list[np.ndarray]] = {}
         self._programs: dict[tuple, Program] = {}
@@ -80,6 +88,19 @@ class SpatialDynamics(Dynamics):
     def __reduce__(self) -> tuple:
         """By its tree: programs are traced anew, once for all copies that come to a process."""
         return _restored, (pickle.dumps(self.tree), self._after)
+
+    def _numbers_of_tree(self) -> Any:
+        """Numbers with which the body stands as it is stated."""
+        return self.tree.parameters()
+
+    def _entry(self, graph: Graph, known: Mapping[str, np.ndarray]) -> Entry:
+        """Scalars of a `TreeParameters` by place: plain ones where they are ``known``, else arguments of a graph."""
+
+        def entry(field: str, *place: int) -> Scalar:
+            value = float(known[field][place])
+            return graph.argument((field, place), moving=False) if math.isnan(value) else value
+
+        return entry
 
     def operations(self, method: str) -> int:
         """Number of operations of a method's program for one state of the tree as it stands."""
@@ -147,24 +168,23 @@ class SpatialDynamics(Dynamics):
         return self._evaluate("potential_energy", p, driven, q=q).squeeze(-1)
 
     def keypoints(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
-        """Positions of the S sites in the world's frame, m, (..., S, 3)."""
+        """Positions of the S sites in the world's frame, m, (..., S, d)."""
         self._check(q=q)
-        return self._evaluate("keypoints", p, driven, q=q).unflatten(-1, (len(self.tree.keypoint_names), 3))
+        return self._evaluate("keypoints", p, driven, q=q).unflatten(-1, (len(self.tree.keypoint_names), self.space))
 
     def jacobian(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
-        """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, 3, K)."""
+        """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, d, K)."""
         self._check(q=q)
-        shape = len(self.tree.keypoint_names), 3, self.num_joints
+        shape = len(self.tree.keypoint_names), self.space, self.num_joints
         return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
 
     def site_velocities(self, q: Tensor, qd: Tensor, p: TreeParameters) -> Tensor:
-        """ṙ = J q̇, m/s, (..., S, 3)."""
+        """ṙ = J q̇, m/s, (..., S, d)."""
         self._check(q=q, qd=qd)
         return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
 
     def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: TreeParameters) -> Tensor:
-        """r̈ = J q̈ + J̇ q̇, m/s², (..., S, 3)."""
-        self._prepared("jacobian", p)  # numbers that are first seen within a derivative could not be kept
+        """r̈ = J q̈ + J̇ q̇, m/s², (..., S, d)."""
         return super().site_accelerations(q, qd, qdd, p)
 
     def _prepared(self, method: str, p: TreeParameters, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
@@ -209,12 +229,7 @@ class SpatialDynamics(Dynamics):
         key = method, structure, with_own
         if key not in self._programs:
             graph = Graph()
-            known = dict(zip(TreeParameters._fields, self._patterns[structure], strict=True))
-
-            def entry(field: str, *place: int) -> Scalar:
-                value = float(known[field][place])
-                return graph.argument((field, place), moving=False) if math.isnan(value) else value
-
+            known = dict(zip(self._nominal._fields, self._patterns[structure], strict=True))
             K, D = self.num_joints, len(self.tree.driven_names)
 
             def moving(word: str, count: int = K + D) -> list[Scalar]:
@@ -222,39 +237,40 @@ class SpatialDynamics(Dynamics):
 
             state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau", K))
             own = moving("own", K) if with_own else None
-            self._programs[key] = program(
-                graph, TRACED[method](frames_of(self.tree, entry, method != "potential_energy"), state, own)
-            )
+            frames = frames_of(self.tree, self._entry(graph, known), method != "potential_energy")
+            self._programs[key] = program(graph, TRACED[method](frames, state, own, self.space))
         return self._programs[key]
 
     def _numbers(self, key: tuple, traced: Program, p: TreeParameters) -> list[Tensor]:
-        """The body's own coefficients, once for as long as the same body is asked about: for all stages of a row.
+        """The body's own coefficients, computed once for all stages of a row while the same body comes.
 
-        Not if they are learned: each backward pass needs them anew.
+        Those of a learned body are computed each time, as each backward pass needs them.
         """
         body, numbers = self._known.get(key, (None, []))
         if body is not p:
-            numbers = traced.numbers([getattr(p, field)[(..., *place)] for field, place in traced.constants])
-            if not self._body(p).is_differentiated:
+            seen = self._body(p)
+            with _outside(seen.is_plain):
+                numbers = traced.numbers([getattr(p, field)[(..., *place)] for field, place in traced.constants])
+            if seen.is_plain and not seen.is_differentiated:
                 self._known[key] = p, numbers
         return numbers
 
     def _body(self, p: TreeParameters) -> "_Body":
         """What was seen of p when it came first."""
         if self._seen is None or self._seen.p is not p:
-            pattern = []
-            for known, value in zip(self._constants, p, strict=True):
-                if _is_differentiated(value):
-                    known = np.full_like(known, np.nan)
-                elif known.size:
-                    own = value.detach().cpu().double().reshape(-1, *known.shape).numpy()
-                    known = np.where((own == known).all(0), known, np.nan)
-                pattern.append(known)
+            is_plain = not any(map(torch._C._functorch.is_functorch_wrapped_tensor, p))
+            with _outside(is_plain):
+                pattern = [
+                    np.full_like(known, np.nan)
+                    if not is_plain or _is_differentiated(value)
+                    else _agreeing(known, value)
+                    for known, value in zip(self._constants, p, strict=True)
+                ]
             structure = b"".join(np.isnan(known).tobytes() for known in pattern)
             self._patterns.setdefault(structure, pattern)
             batches = [value.shape[: value.ndim - known.ndim] for known, value in zip(pattern, p, strict=True)]
             self._seen = _Body(
-                p, structure, common(*batches), any(map(_is_differentiated, p)), any(map(has_tangent, p))
+                p, structure, common(*batches), is_plain, any(map(_is_differentiated, p)), any(map(has_tangent, p))
             )
         return self._seen
 
@@ -300,21 +316,23 @@ def _undriven(frames: Frames, motion: Motion) -> Motion:
 
 
 TRACED = {
-    "forward": lambda frames, motion, own: articulated_bodies.accelerations(frames, motion, own),
-    "response": lambda frames, motion, own: articulated_bodies.accelerations(
+    "forward": lambda frames, motion, own, _: articulated_bodies.accelerations(frames, motion, own),
+    "response": lambda frames, motion, own, _: articulated_bodies.accelerations(
         replace(frames, gravity=ZERO), _still(motion, "qd", "qdd"), own
     ),
-    "inverse": lambda frames, motion, _: newton_euler.torques(frames, motion),
-    "bias": lambda frames, motion, _: newton_euler.torques(frames, _undriven(frames, motion)),
-    "coriolis": lambda frames, motion, _: newton_euler.torques(
+    "inverse": lambda frames, motion, *_: newton_euler.torques(frames, motion),
+    "bias": lambda frames, motion, *_: newton_euler.torques(frames, _undriven(frames, motion)),
+    "coriolis": lambda frames, motion, *_: newton_euler.torques(
         replace(frames, gravity=ZERO), _undriven(frames, motion)
     ),
-    "gravity_load": lambda frames, motion, _: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
-    "kinetic_energy": lambda frames, motion, _: [newton_euler.kinetic_energy(frames, motion)],
-    "potential_energy": lambda frames, motion, _: [kinematics.potential_energy(frames, motion)],
-    "inertia_matrix": lambda frames, motion, _: _flat(composite_bodies.inertia_matrix(frames, motion)),
-    "keypoints": lambda frames, motion, _: _flat(kinematics.sites(frames, motion)),
-    "jacobian": lambda frames, motion, _: _flat(_flat(kinematics.jacobian(frames, motion))),
+    "gravity_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
+    "kinetic_energy": lambda frames, motion, *_: [newton_euler.kinetic_energy(frames, motion)],
+    "potential_energy": lambda frames, motion, *_: [kinematics.potential_energy(frames, motion)],
+    "inertia_matrix": lambda frames, motion, *_: _flat(composite_bodies.inertia_matrix(frames, motion)),
+    "keypoints": lambda frames, motion, _, space: _flat([x[:space] for x in kinematics.sites(frames, motion)]),
+    "jacobian": lambda frames, motion, _, space: _flat(
+        _flat([rows[:space] for rows in kinematics.jacobian(frames, motion)])
+    ),
 }
 
 
@@ -323,6 +341,17 @@ def _constants(name: str, value: Tensor) -> np.ndarray:
     array = value.numpy()
     known = (array == 0) | ((name == "rotation") & (np.abs(array) == 1))
     return np.where(known, array, np.nan)
+
+
+def _agreeing(known: np.ndarray, value: Tensor) -> np.ndarray:
+    """What is known of an entry and true of all of ``value`` (..., *shape); NaN elsewhere."""
+    own = value.detach().cpu().double().numpy()
+    return np.where((own == known).reshape(-1, *known.shape).all(0), known, np.nan) if known.size else known
+
+
+def _outside(is_plain: bool) -> AbstractContextManager:
+    """Outside of the transforms of torch.func, for numbers that none of them wraps, so that they can be kept."""
+    return torch._C._DisableFuncTorch() if is_plain else nullcontext()
 
 
 def _is_differentiated(value: Tensor) -> bool:

@@ -7,7 +7,7 @@ import torch
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.link import Link
 from invdyn.models.dynamics.integrators import INTEGRATORS, euler, rk4, semi_implicit
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 
 F64 = torch.float64
 ORDER = {"euler": 1, "semi_implicit": 1, "rk4": 4}

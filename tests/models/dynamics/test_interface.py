@@ -4,16 +4,17 @@ import pytest
 import torch
 from chains import BOTH, JOINTS, METHODS, call, random_case
 
-from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
-from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.link import Link
+from invdyn.models.dynamics.planar import PlanarDynamics, planar_dynamics
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.dynamics.symbolic import SymbolicDynamics
 
 
 @JOINTS
 @pytest.mark.parametrize("method", METHODS)
-def test_symbolic_and_recursive_agree_for_every_way_to_batch(K, method):
-    symbolic, recursive = SymbolicDynamics(K), RecursiveDynamics(K)
+def test_traced_and_symbolic_agree_for_every_way_to_batch(K, method):
+    traced, symbolic = planar_dynamics(K), SymbolicDynamics(K)
     for batch, body_batch in [
         ((), ()),
         ((7,), ()),
@@ -24,7 +25,7 @@ def test_symbolic_and_recursive_agree_for_every_way_to_batch(K, method):
     ]:
         p, q, qd, tau = random_case(K, 5, batch, body_batch)
         state = {"q": q, "qd": qd, "tau": tau}
-        ours, theirs = call(symbolic, method, state, p), call(recursive, method, state, p)
+        ours, theirs = call(traced, method, state, p), call(symbolic, method, state, p)
         full = torch.broadcast_shapes(batch, body_batch)
         tail = {"inertia_matrix": (K, K), "keypoints": (K, 2), "kinetic_energy": (), "potential_energy": ()}
         assert ours.shape == theirs.shape == (*full, *tail.get(method, (K,)))
@@ -68,7 +69,7 @@ def test_joint_quantities_of_different_batch_shapes_broadcast(kind):
 
 
 def test_a_batch_of_bodies_is_each_body_by_itself():
-    dynamics = SymbolicDynamics(3)
+    dynamics = planar_dynamics(3)
     p, q, qd, tau = random_case(3, 7, (4, 6), (4, 1))
     together = dynamics.forward(q, qd, tau, p)
     for m in range(4):
@@ -79,7 +80,6 @@ def test_a_batch_of_bodies_is_each_body_by_itself():
 @pytest.mark.parametrize("K", [5, 9])
 def test_long_chains_invert(K):
     dynamics = planar_dynamics(K)
-    assert isinstance(dynamics, RecursiveDynamics)
     p, q, qd, tau = random_case(K, 8, (6,))
     torch.testing.assert_close(dynamics.inverse(q, qd, dynamics.forward(q, qd, tau, p), p), tau, rtol=1e-8, atol=1e-8)
     D, load = dynamics.inertia_matrix(q, p), dynamics.coriolis(q, qd, p) + dynamics.gravity_load(q, p)
@@ -88,11 +88,15 @@ def test_long_chains_invert(K):
 
 
 def test_the_choice():
-    assert all(isinstance(planar_dynamics(K), SymbolicDynamics) for K in (1, 2, 3, 4))
+    arm = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0)])
+    assert dynamics_for(arm) is planar_dynamics(1)
+    assert isinstance(dynamics_for(arm, "symbolic"), SymbolicDynamics)
+    with pytest.raises(ValueError, match="expected dynamics among traced, symbolic, got 'fast'"):
+        dynamics_for(arm, "fast")
     for wrong in (0, -1, 2.5, "two"):
         with pytest.raises(ValueError, match="joints"):
-            planar_dynamics(wrong)
-    with pytest.raises(ValueError, match="RecursiveDynamics takes any number"):
+            PlanarDynamics(wrong)
+    with pytest.raises(ValueError, match="expected 1 to 4 joints"):
         SymbolicDynamics(5)
 
 

@@ -10,7 +10,7 @@ from trees import MuJoCo, mobile_arm, panda, pinocchio_of, random_state, random_
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.in_space import parameters_in_space, tree_of
 from invdyn.models.bodies.link import Link
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 

@@ -1,4 +1,4 @@
-"""Forward dynamics of short chains as machine code: torch's bits, gradients where they are asked for, copies."""
+"""Forward dynamics of planar chains as machine code: torch's bits, gradients where they are asked for, copies."""
 
 import math
 import pickle
@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from invdyn.models.bodies.body import BodyParameters
-from invdyn.models.dynamics.planar_recursive import RecursiveDynamics
-from invdyn.models.dynamics.planar_symbolic import SymbolicDynamics
-from invdyn.models.dynamics.registry import planar_dynamics
+from invdyn.models.dynamics.planar import PlanarDynamics, planar_dynamics
+from invdyn.models.dynamics.symbolic import SymbolicDynamics
 
 pytest.importorskip("llvmlite")
 
@@ -26,7 +25,7 @@ def state(K, *batch, dtype=torch.float64):
 
 def both(K):
     """As machine code from the first call, and by torch alone."""
-    return SymbolicDynamics(K, compile_after=0), SymbolicDynamics(K, compile_after=math.inf)
+    return PlanarDynamics(K, compile_after=0), PlanarDynamics(K, compile_after=math.inf)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -52,9 +51,9 @@ def test_each_body_with_particles_of_its_own_and_any_layout():
 
 
 @pytest.mark.parametrize("K", [1, 3])
-def test_it_is_what_the_recursion_along_the_chain_says(K):
+def test_machine_code_is_what_the_symbolic_equations_are(K):
     p, own, given = body(K), torch.rand(K, dtype=torch.float64), state(K, 20)
-    expected = RecursiveDynamics(K).forward(*given, p, own)
+    expected = SymbolicDynamics(K).forward(*given, p, own)
     torch.testing.assert_close(both(K)[0].forward(*given, p, own), expected, rtol=1e-9, atol=1e-9)
 
 
