@@ -96,7 +96,8 @@ class ArmModel(StateSpaceModel):
     ):
         if integrator not in INTEGRATORS:
             raise WrongValue(f"expected an integrator among {', '.join(INTEGRATORS)}, got {integrator!r}")
-        self.body, self.dynamics = body, dynamics_for(body, dynamics)
+        own = () if dynamics == "traced" else (dynamics,)  # a body of one's own may know of no other
+        self.body, self.dynamics = body, dynamics_for(body, *own)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
         self.effects = Composition((), filed(body))
