@@ -1,5 +1,7 @@
 """Fixtures for all rooms."""
 
+import fnmatch
+import gc
 import os
 from pathlib import Path
 
@@ -12,10 +14,32 @@ from stand_in import human_arm
 settings.register_profile("invdyn", deadline=None, derandomize=True)  # the same examples, however busy the machine
 settings.load_profile("invdyn")
 torch.set_num_threads(1)  # for what is made before a module's first test, too; see `_seeded`
+gc.disable()  # while modules are imported, which is half of a collection's time; see `pytest_collection_finish`
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Notebooks first: at the end the longest tests would leave all workers but one without work."""
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected again, but for what was imported: that stays."""
+    gc.freeze()
+    gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)  # before what is long is left out
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a test with ``quick("case", …)`` the named cases run in `make test`; the others are long.
+
+    Notebooks come first: at the end the longest tests would leave all workers but one without work.
+    """
+    found = {}
+    for item in items:
+        if (mark := item.get_closest_marker("quick")) is not None:
+            case = item.callspec.id
+            here = {name for name in mark.args if fnmatch.fnmatchcase(case, name)}
+            found.setdefault(item.nodeid.removesuffix(f"[{case}]"), set(mark.args)).difference_update(here)
+            if not here:
+                item.add_marker("long")
+    if not any("::" in argument for argument in config.args):
+        wrong = {test: names for test, names in found.items() if names}
+        assert not wrong, f"quick names cases that are not there: {wrong}"
     items.sort(key=lambda item: item.path.parent.name != "notebooks")
 
 

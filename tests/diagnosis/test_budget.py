@@ -72,6 +72,7 @@ def test_parts_side_by_side_have_the_same_budget_each_wherever_they_run(workers)
     assert (budget.done, budget.missed) == (240.0, {"after 110"})
 
 
+@pytest.mark.long
 def test_a_budget_that_is_not_hit_changes_nothing():
     found, budget = whole()
     enough, _ = searched(2 * budget.done)
@@ -79,6 +80,7 @@ def test_a_budget_that_is_not_hit_changes_nothing():
     assert evidence(enough) == evidence(found)
 
 
+@pytest.mark.quick("0.3")
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
 def test_the_search_ends_with_the_best_so_far_whatever_the_number_of_workers(share):
     _, budget = whole()

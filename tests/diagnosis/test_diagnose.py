@@ -29,6 +29,7 @@ def rubbing():
     return recording, SEARCHED(diagnosis_problem(recording, PENDULUM), MANY, 1)
 
 
+@pytest.mark.long
 def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     """They are scored beside the confirmation, with the cause that is likely: SMC may name another."""
     recording, searched = rubbing()
@@ -98,6 +99,7 @@ def test_what_check_refuses_is_refused_unless_somebody_asked_before(monkeypatch)
         diagnose(recording, PENDULUM, checked=True)
 
 
+@pytest.mark.quick("LinAlgError-*")
 @pytest.mark.parametrize("part", ["data_path", "finely_stepped", "search"])
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError, torch.linalg.LinAlgError])
 def test_a_simulation_that_runs_away_is_told_in_one_line(monkeypatch, part, error):

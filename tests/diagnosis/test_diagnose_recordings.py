@@ -23,6 +23,7 @@ def named(found):
     return [effect.key for effect in found.causes[0].effects]
 
 
+@pytest.mark.long
 def test_several_have_their_causes_in_common():
     """Both know the damping better than one does, and nothing follows from one's last row to the other's first."""
     both = diagnose([rubbing(0), rubbing(1)], PENDULUM, without=MANY)
@@ -33,6 +34,7 @@ def test_several_have_their_causes_in_common():
     assert len(both.tracks.time) == 160
 
 
+@pytest.mark.long
 def test_an_end_that_nobody_saw_changes_nothing():
     """Commands go on where the camera has stopped: the answer is that of the rows before."""
     whole = rubbing(0, rows=110)
@@ -55,6 +57,7 @@ def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
     assert found.where.depends_on == ()
 
 
+@pytest.mark.long
 def test_an_arm_at_thirty_frames_a_second_lacks_nothing():
     """Steps of one row would be wrong by what the camera notices, and some effect would be blamed."""
     arm = random_arm(ARM, duration=4.0, fps=30, noise=0.002, torque_scale=0.4, commanded=True, seed=2)
@@ -73,6 +76,7 @@ def test_rows_that_last_no_longer_than_a_push_show_nothing():
     assert not found.gap.detected
 
 
+@pytest.mark.quick("False-known0", "True-known1")
 @pytest.mark.parametrize("known", [(), ("viscous_friction",)])
 @pytest.mark.parametrize("uncertain", [False, True])
 def test_a_catalogue_may_have_one_effect_or_none(known, uncertain):

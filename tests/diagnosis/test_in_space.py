@@ -46,6 +46,7 @@ def screened(recording, body, kinds):
     return bound, path, screen(bound, bound.model, path, effects, common, common.mean)
 
 
+@pytest.mark.long
 def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one():
     log = robot_log(1.2, damping=(0.0, 0.08), camera=False)
     flat, deep = (screened(log, each, FEW) for each in (PLANAR, tree_of(PLANAR)))
@@ -61,6 +62,7 @@ def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one()
     assert causes[0].mean[0] == pytest.approx(0.08, rel=0.1)
 
 
+@pytest.mark.quick("-payload", "-coulomb_friction.lift")
 @pytest.mark.parametrize(
     ("change", "name"),
     [

@@ -96,6 +96,7 @@ def test_rows_in_another_order_are_refused(tmp_path):
         load(tmp_path / "log.csv", joints=ARM.joint_names)
 
 
+@pytest.mark.long
 def test_seconds_since_1970_change_nothing():
     """float64 has .2 µs of them, so that rows come a little early or late."""
     shifted = replace(rubbing(), time=rubbing().time + UNIX)

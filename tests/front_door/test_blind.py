@@ -136,6 +136,7 @@ def test_cases_that_were_made_before_an_interruption_are_not_made_again(making, 
     assert begun == []
 
 
+@pytest.mark.long
 def test_what_another_run_left_is_no_case_of_this_one(making, tmp_path):
     make, begun, breaks = making
     commitment = make("whole")

@@ -12,6 +12,8 @@ import pytest
 
 from invdyn.blindcheck.run import BlindRun
 
+if not hasattr(signal, "SIGKILL"):
+    pytest.skip("needs POSIX signals", allow_module_level=True)
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("hasty")
 

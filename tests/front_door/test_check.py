@@ -187,6 +187,7 @@ def test_a_slide_is_logged_in_a_unit_of_length(cart):
     assert "nothing looks wrong" in found.output
 
 
+@pytest.mark.long
 def test_a_slide_in_millimetres_is_found(cart):
     for unit in ("", "m"):
         wrong = cart(unit)

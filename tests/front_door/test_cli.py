@@ -191,6 +191,7 @@ def test_a_posterior_of_too_few_draws_says_so(make_posterior):
     assert f"{told}7:" in summary_text(chains)
 
 
+@pytest.mark.long
 def test_three_rows_are_enough_and_their_bands_wide(folder, run):
     run("simulate", "--body", "arm.toml", "--duration", 1, "--out", "sim.csv")
     widths = []
@@ -225,6 +226,7 @@ def test_demo_leaves_everything_and_says_where(folder, run, contents):
     assert np.mean((low <= truth) & (truth <= high)) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / 60))
 
 
+@pytest.mark.quick("laplace")
 @pytest.mark.parametrize("method", ["laplace", "differentiate"])
 def test_a_method_without_filters_is_drawn_and_told_too(folder, run, method):
     run("simulate", "--body", "paper_planar_arm", "--duration", 1, "--out", "short.csv")

@@ -95,6 +95,7 @@ def posteriors(make_posterior, count, truth=True, joints=2):
     return {f"method {number}": make_posterior(joints, truth=truth, seed=number) for number in range(count)}
 
 
+@pytest.mark.quick("6-9", "1-*")
 @pytest.mark.parametrize("count", [1, 5, 9])
 @pytest.mark.parametrize("joints", [1, 6])
 def test_every_method_is_in_every_panel_and_nothing_overlaps(make_posterior, count, joints):

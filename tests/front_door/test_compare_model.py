@@ -68,6 +68,7 @@ def test_a_model_of_ones_own_is_compared(given, run):
         assert word in outcome.stdout
 
 
+@pytest.mark.long
 def test_workers_give_the_serial_bits(given, run):
     outcome = run("compare", "walk.py:walk", "rows.csv", "--methods", "bootstrap", "--out", "ONE", "--filters", 4)
     assert outcome.exit_code == 0, outcome.output

@@ -52,6 +52,7 @@ def session(page: Path) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.quick("[!o]*", "own_effect*")
 @LEFT_OUT
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
 def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch):
@@ -84,6 +85,7 @@ def test_a_guides_commands_run(name, folder, run, quick_inference):
     assert all((folder / file).exists() for file in made[name])
 
 
+@pytest.mark.long
 def test_the_motion_guides_command_runs(tmp_path, monkeypatch, run):
     """On the recording of its own Python, whose links are 1 m long."""
     page = ROOT / "docs" / "how-to" / "motion_and_lengths.md"

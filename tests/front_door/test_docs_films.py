@@ -47,6 +47,7 @@ class Person:
         return np.array([[20.0, 12.0, 0.9], [20.0, 22.0, 0.9], [21.0, 31.0, 0.9]])
 
 
+@pytest.mark.long
 def test_films(tmp_path, monkeypatch, run, quick_inference):
     for name, frames in (("robot", 110), ("swing", 12), ("walk", 12)):
         swinging(tmp_path / "film.mov", frames)

@@ -11,6 +11,9 @@ import invdyn.inference
 import invdyn.outputs
 from invdyn.cli import app
 
+if not hasattr(signal, "SIGKILL"):
+    pytest.skip("needs POSIX signals", allow_module_level=True)
+
 INFER = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "f.png")
 SIMULATE = ("simulate", "--body", "arm.toml", "--out", "s.csv", "--truth", "t.csv", "--duration", "0.5")
 ENDS = [pytest.param(signal.SIGTERM, 143, id="terminated"), pytest.param(signal.SIGHUP, 129, id="hung up")]

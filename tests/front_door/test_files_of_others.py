@@ -56,6 +56,7 @@ def _tree(folder):
     return {str(path.relative_to(folder)): path.lstat().st_size for path in folder.rglob("*")}
 
 
+@pytest.mark.quick("memory bombs", "paths out of a bag")
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_input_once(tried, kind):
     """All but those that take seconds, whose sizes are those of others."""

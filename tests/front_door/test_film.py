@@ -24,6 +24,7 @@ def gif(path):
     return np.stack(frames), np.array(durations)
 
 
+@pytest.mark.quick("2-*")
 @pytest.mark.parametrize(("num_joints", "interval"), [(1, 0.03), (2, 1 / 30), (6, 0.047)])
 def test_gif_shows_every_frame_at_the_recordings_speed(make_posterior, tmp_path, num_joints, interval):
     idata = make_posterior(num_joints, num_frames=25, frame_interval=interval)
@@ -78,6 +79,7 @@ def test_time_line_moves_with_time(make_posterior):
     assert shift == pytest.approx(20 / 30, rel=0.15)  # 20 of 30 intervals, of axes almost as wide as the page
 
 
+@pytest.mark.long
 def test_still_parts_are_drawn_once_and_200_frames_take_few_megabytes(make_posterior, monkeypatch, tmp_path):
     idata, drawn, draw = make_posterior(2, num_frames=200, num_filters=64), [], FigureCanvasAgg.draw
     monkeypatch.setattr(FigureCanvasAgg, "draw", lambda self: (drawn.append(self), draw(self))[1])

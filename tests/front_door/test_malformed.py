@@ -90,6 +90,12 @@ def test_there_are_many_of_them():
 
 
 @pytest.mark.parametrize("kind", CASES)
+def test_few_malformed_inputs_are_told_in_one_line(wrong, kind):
+    assert not _faults(wrong, SOME[kind][::5])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", CASES)
 def test_some_malformed_inputs_are_told_in_one_line(wrong, kind):
     assert not _faults(wrong, SOME[kind])
 
@@ -113,6 +119,7 @@ NUMBERS = st.one_of(
 TEXTS = st.one_of(st.text(max_size=20), st.sampled_from(["$\\frac", "${", "\0", "\n", "_^", "\udcff"]))
 
 
+@pytest.mark.long
 def test_drawn_numbers_in_a_recording(wrong):
     @given(column=st.sampled_from(COLUMNS), every=st.booleans(), value=NUMBERS, call=st.sampled_from([INFER, DIAGNOSE]))
     @DRAWN
@@ -160,6 +167,7 @@ def test_drawn_values_of_options(wrong):
     check()
 
 
+@pytest.mark.long
 def test_drawn_bytes_of_a_posterior(wrong):
     @given(share=st.floats(0, 1, exclude_max=True))
     @DRAWN

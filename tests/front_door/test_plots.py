@@ -30,6 +30,7 @@ def test_every_joint_has_its_panels_with_units(make_posterior, num_joints):
         assert panel(figure, f"{joint} torque").get_ylabel() == "N·m"
 
 
+@pytest.mark.quick("1", "3")
 @pytest.mark.parametrize("num_joints", [1, 3, 6])
 def test_nothing_overlaps(make_posterior, num_joints):
     figure = plot_posterior(make_posterior(num_joints))
@@ -170,6 +171,7 @@ def test_interrupted_saving_leaves_nothing(make_posterior, tmp_path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_many_frames_stay_quick(make_posterior, tmp_path):
     idata = make_posterior(2, num_frames=5000, num_filters=8)
     save_figure(plot_posterior(idata), tmp_path / "figure.pdf")

@@ -33,6 +33,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
     monkeypatch.chdir(folder)
     for line in commands(README):

@@ -29,6 +29,7 @@ def test_truth_obeys_the_equations_of_motion():
     assert (q.diff(dim=0) / step - middle[1]).abs().max() < 1e-3 * qd.abs().max()
 
 
+@pytest.mark.long
 def test_keypoints_lie_around_the_true_tips_by_the_noise():
     noise = 0.02
     recording, truth = record(random_arm(BODY, duration=20, fps=25, noise=noise, seed=2), 2)

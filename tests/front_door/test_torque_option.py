@@ -9,6 +9,7 @@ from invdyn.inference import load_posterior
 SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
 
 
+@pytest.mark.long
 def test_the_likeliest_is_taken_and_told(folder, run):
     run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40", "--encoders", "1e-4")
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "auto", *SMALL)

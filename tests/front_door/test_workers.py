@@ -12,6 +12,9 @@ import pytest
 
 from invdyn.inference import load_posterior
 
+if not hasattr(signal, "SIGKILL"):
+    pytest.skip("needs POSIX signals", allow_module_level=True)
+
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
 
 INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--filters-per-task", 2)
@@ -92,6 +95,7 @@ def test_mpi_gives_the_same(simulated, run):
     assert torque("mpi.nc") == torque("alone.nc")
 
 
+@pytest.mark.long
 def test_killed_and_resumed_is_the_same(simulated, run, started):
     pytest.importorskip("safetensors")
     call = (*INFER, "--filters", 12, "--checkpoint", "kept", "--out", "p.nc")
@@ -168,14 +172,8 @@ def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, comma
         assert same, name
 
 
-@pytest.mark.parametrize(
-    "stop",
-    [
-        pytest.param(signal.SIGINT, id="Ctrl-C"),
-        pytest.param(signal.SIGTERM, id="terminated", marks=pytest.mark.long),
-        pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda stop: stop.name)
 def test_no_worker_is_left_behind(simulated, started, stop):
     call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

@@ -220,6 +220,7 @@ def check(idata, path, model):
     assert idata.posterior["angle"].std(("chain", "draw")).max() < 0.1
 
 
+@pytest.mark.long
 def test_lagranges_equations_conserve_energy():
     for body in (BEAD, FORK, BALL):
         model = model_of(body, Encoders(), integrator="rk4", substeps=4)
@@ -234,6 +235,7 @@ def test_lagranges_equations_conserve_energy():
         assert (torch.stack(before) - before[0]).abs().max() < 1e-6 * max(1.0, before[0].abs().item())
 
 
+@pytest.mark.quick("1-D")
 @pytest.mark.parametrize("body", [BEAD, FORK, BALL], ids=lambda body: f"{body.space}-D")
 def test_keypoints_in_any_number_of_dimensions(body):
     model = model_of(body, Keypoints(body.keypoint_names))
@@ -273,6 +275,7 @@ def test_the_bead_is_a_linear_gaussian_chain():
     assert found.attrs["log_evidence"] == pytest.approx(exact, abs=1e-6)
 
 
+@pytest.mark.long
 def test_a_sensor_of_its_own_on_a_forked_tree():
     """Two sites of one link and one of another are heard by a beacon, and a camera sees one of them."""
     ranges = Ranges((3.0, -0.5), ("left_middle", "left_tip", "right_tip"))

@@ -176,6 +176,7 @@ def test_without_a_score_its_reason(data):
     assert "too few" in few.notes["laplace"]
 
 
+@pytest.mark.long
 def test_a_process_of_its_own_gives_the_same(comparison, data):
     recording, truth = data
     apart = compare(recording, ARM, ["smc"], truth=truth, seed=1, held_out=0, isolate=True, **SMALL)
@@ -283,6 +284,7 @@ print(resident_peak() - before)
 """
 
 
+@pytest.mark.long
 def test_resident_peak_sees_an_allocation():
     # In a process of its own: in this one, memory that other tests have freed may be used again.
     grown = subprocess.run([sys.executable, "-W", "ignore", "-c", GROWTH], capture_output=True, text=True, check=True)

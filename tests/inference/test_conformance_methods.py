@@ -80,6 +80,7 @@ def case(request):
     return problem(request.param)
 
 
+@pytest.mark.quick("1-*")
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_gives_the_documented_posterior(case, method, tmp_path):
     def run(seed):
@@ -173,6 +174,7 @@ def test_the_list_of_models_is_complete():
     assert {family for _, _, family, _ in MODELS.values()} == set(FAMILIES)
 
 
+@pytest.mark.quick("laplace-*", "*-random_walk")
 @pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_runs_on_every_model(method, kind):
@@ -197,6 +199,7 @@ def test_every_method_runs_on_every_model(method, kind):
     assert np.isfinite(idata.attrs["log_evidence"]) == (method not in WITHOUT_EVIDENCE)
 
 
+@pytest.mark.quick("1")
 def test_a_method_reports_its_progress(case):
     for method in ("svi", "vsmc", "particle-gibbs", "differentiate"):
         told = []
@@ -257,12 +260,14 @@ def precision(chain, y):
 MANY = SMCOptions(num_filters=40, num_particles=50, num_draws=10, dtype=torch.float64)
 
 
+@pytest.mark.quick("1")
 def test_nested_is_another_name_of_smc(case):
     one, other = (METHODS[name](case, options=SIZES, seed=2) for name in ("smc", "nested"))
     assert one["posterior"].equals(other["posterior"])
     assert other.attrs["method"] == other["sample_stats"].attrs["method"] == "nested"
 
 
+@pytest.mark.quick("laplace", "smc", "vsmc")
 @pytest.mark.parametrize("method", ["laplace", "smc", "vsmc", "svi-markov", "nuts", "particle-gibbs"])
 def test_exact_methods_agree_with_the_kalman_smoother(linear, method):
     given, _, evidence, mean, sd = linear
@@ -289,6 +294,7 @@ def test_exact_methods_agree_with_the_kalman_smoother(linear, method):
         assert idata["sample_stats"].attrs["divergences"] == 0
 
 
+@pytest.mark.long
 def test_mean_field_is_too_sure_by_as_much_as_theory_says(linear):
     """Its best variances are one over the precision's diagonal, and its bound lies below by ½ log |D| − ½ log |Λ|."""
     given, chain, evidence, mean, sd = linear

@@ -78,6 +78,7 @@ def test_simulated_noises_are_correlated(way):
     assert scaled.std().item() == pytest.approx(1, abs=0.06)
 
 
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("way", ["run", "steps", "rows", "vsmc"])
 def test_the_evidence_is_unbiased(case, way, threshold):

@@ -240,6 +240,7 @@ from invdyn.models import LinearGaussian
 """
 
 
+@pytest.mark.long
 def test_a_killed_filter_goes_on_to_the_same_answer(tmp_path):
     pytest.importorskip("safetensors")
     program = PROGRAM + inspect.getsource(linear) + "linear(130, sys.argv[1])"
@@ -282,6 +283,7 @@ def test_a_guide_that_cannot_be_traced_runs_as_it_is(chain):
     assert torch.isfinite(result.log_evidence).all()
 
 
+@pytest.mark.quick("bootstrap")
 @pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
 def test_the_recorded_row_is_the_row(arm, guide, monkeypatch):
     """What the compiler is given: one record for all rows with gaps, one for those without; here not compiled.
@@ -303,6 +305,7 @@ def test_the_recorded_row_is_the_row(arm, guide, monkeypatch):
     torch.testing.assert_close(results[0].log_evidence, results[1].log_evidence)
 
 
+@pytest.mark.quick("False")
 @pytest.mark.parametrize("seen", [False, True])
 def test_nothing_of_an_arms_row_is_put_together_but_what_it_leaves(arm, seen, monkeypatch):
     """Column by column: of all that the model stacks, the new states alone remain, and no product with a matrix."""

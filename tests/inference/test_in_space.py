@@ -76,6 +76,7 @@ def problem(family="gaussian", **options):
     return arm_problem(recording, body, family=family, parameters=known, substeps=1, **options)
 
 
+@pytest.mark.quick("laplace", "smc", "vsmc")
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "nested"])  # which is smc by another name
 def test_every_method_gives_the_documented_posterior(method, tmp_path):
     idata = METHODS[method](problem(), options=SIZES, seed=3, **QUICK.get(method, {}))
@@ -94,6 +95,7 @@ def test_every_method_gives_the_documented_posterior(method, tmp_path):
         assert load_posterior(tmp_path / "x.nc")["posterior"].equals(posterior)
 
 
+@pytest.mark.quick("random_walk", "smooth_and_rough")
 @pytest.mark.parametrize("torque", TORQUE_PROCESSES)
 def test_every_torque_process_has_a_mode(torque):
     own = problem(torque=TORQUE_PROCESSES[torque])
@@ -104,6 +106,7 @@ def test_every_torque_process_has_a_mode(torque):
     assert points.nan_to_num().square().mean().sqrt() < 3 * NOISE
 
 
+@pytest.mark.quick("gaussian-semi_implicit", "student_t-rk4")
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_integrator_and_noise_family(integrator, family):

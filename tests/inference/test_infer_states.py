@@ -44,6 +44,7 @@ def linear():
     return chain.model(T), rows, kalman(chain, rows)[0], means, sd
 
 
+@pytest.mark.quick("smc", "vsmc", "laplace", "nested", "bootstrap", "particle-gibbs")
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path):
     model, rows, evidence, means, sd = linear
@@ -76,6 +77,7 @@ def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path
     assert again["log_likelihood"].equals(idata["log_likelihood"])
 
 
+@pytest.mark.long
 def test_nuts_has_its_own_statistics(linear):
     model, rows, *_ = linear
     idata = infer_states(model, rows, method="nuts", seed=1, **SIZES, **QUICK["nuts"])
@@ -122,6 +124,7 @@ def test_priors_need_a_method_that_learns_parameters(linear):
         infer_states(uncertain, rows)
 
 
+@pytest.mark.quick("smc2")
 @pytest.mark.parametrize("method", ["pmmh", "smc2"])
 def test_parameters_with_priors_are_learned(method):
     """A level that is seen 12 times with known noise: its mean has a Gaussian posterior, known exactly."""
@@ -200,6 +203,7 @@ def test_what_has_no_body_is_refused_in_one_line(linear):
 
 
 # -- side by side ------------------------------------------------------------------------------------
+@pytest.mark.long
 def test_methods_in_one_table(linear):
     model, rows, evidence, means, _ = linear
     found = compare_methods(

@@ -65,6 +65,7 @@ def test_lengths_and_hidden_rows_of_a_tree(tmp_path):
     assert load_posterior(tmp_path / "x.nc")["posterior"].equals(idata["posterior"])
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("order", [1, 2])
 def test_particles_and_linearised_model_agree(order):
     recording, _, _ = walk(1, 30)

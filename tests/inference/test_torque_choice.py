@@ -42,6 +42,7 @@ def rough():
     return moved_by(OrnsteinUhlenbeck(), scale=6.0, decay=5.0)[0]
 
 
+@pytest.mark.quick("rough-OrnsteinUhlenbeck")
 @pytest.mark.parametrize(("made", "name"), [("smooth", "Matern52"), ("rough", "OrnsteinUhlenbeck")])
 def test_the_process_that_made_the_torque(made, name, request):
     told = []
@@ -87,6 +88,7 @@ def test_a_comparison_holds_out_under_the_process_that_it_chose(rough, monkeypat
     assert not found.failures
 
 
+@pytest.mark.long
 def test_a_robots_torque_is_told_more_narrowly_by_the_sum():
     """It is nearer than the default in narrower bands; 90 % is .9 to what 130 dependent rows allow."""
     coarse = {**KNOWN, "emission.angle_scale": 2e-4}

@@ -134,6 +134,7 @@ def test_stop_gradient_estimates_the_gradient_of_the_evidence():
     assert abs(mean - exact) > 6 * error
 
 
+@pytest.mark.long
 def test_score_estimates_the_gradient_of_the_bound():
     """Against a wide finite difference of the bound over many filters; dropped, it is another number."""
     _, model, guide, y = crude()

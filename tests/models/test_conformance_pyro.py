@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pyro
 import pyro.distributions as dist
+import pytest
 import torch
 from model_cases import EVERY, SOME, STEPS, gappy
 from pyro import poutine
@@ -94,6 +95,7 @@ def test_priors_are_pyro_sites_and_svi_runs(model):
     assert np.isfinite([svi.step(observations) for _ in range(3)]).all()
 
 
+@pytest.mark.quick("linear", "random_walk-*")
 @SOME
 def test_nuts_runs_on_the_sequence(model):
     observations = gappy(model.simulate()[1])

@@ -53,6 +53,7 @@ def calls(monkeypatch):
     return asked
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [0.02, 0.16])
 def test_a_gap_is_where_the_motion_drives_it(width):
     model = with_play(width)
@@ -80,6 +81,7 @@ def test_what_is_settled_stays_to_the_bit():
     assert torch.equal(settled(model, path), path)
 
 
+@pytest.mark.long
 def test_many_sets_are_each_by_itself():
     widths = (0.02, 0.05, 0.16)
     path = rolled(with_play(0.05))

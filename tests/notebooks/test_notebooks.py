@@ -36,6 +36,7 @@ def planar_arm():
     return jupytext.read(FOLDER / "01_planar_arm.py")
 
 
+@pytest.mark.long
 def test_planar_arm_runs_and_finds_what_it_says(planar_arm, with_human_arm):
     text = printed(run(planar_arm, INVDYN_DATA=str(with_human_arm)))
     assert "skipped" not in text
@@ -73,6 +74,7 @@ def test_planar_arm_goes_on_without_the_real_recording(planar_arm, tmp_path):
     assert "human_arm" in text
 
 
+@pytest.mark.long
 def test_compare_inference_runs_and_shows_who_is_too_sure(with_human_arm):
     notebook = jupytext.read(FOLDER / "02_compare_inference.py")
     text = printed(run(notebook, INVDYN_DATA=str(with_human_arm)))
@@ -95,6 +97,7 @@ def test_compare_inference_runs_and_shows_who_is_too_sure(with_human_arm):
     assert float(re.search(r"hump in the middle, and 90 % bands hold (\S+)\.", text)[1]) > 0.97
 
 
+@pytest.mark.long
 def test_a_model_variant_runs_by_every_method():
     notebook = jupytext.read(FOLDER / "03_write_a_model_variant.py")
     text = printed(run(notebook))
@@ -120,6 +123,7 @@ def test_the_variant_is_under_forty_lines():
     assert 10 < len(lines) < 40
 
 
+@pytest.mark.long
 def test_diagnose_the_gap_says_what_was_put_in():
     notebook = jupytext.read(FOLDER / "04_diagnose_the_gap.py")
     text = printed(run(notebook))
@@ -148,6 +152,7 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert "outside the catalogue, the sum of these: 0.31" in text  # an exercise: 0.7 × 0.1 + 0.3 × 0.8
 
 
+@pytest.mark.long
 def test_my_robot_gets_a_corrected_file():
     pytest.importorskip("mujoco")
     notebook = jupytext.read(FOLDER / "07_my_robot.py")
@@ -170,6 +175,7 @@ def test_my_robot_gets_a_corrected_file():
     assert "0.0125 kg·m², 76%" in text
 
 
+@pytest.mark.long
 def test_any_state_space_model_runs_and_its_methods_agree():
     notebook = jupytext.read(FOLDER / "08_any_state_space_model.py")
     text = printed(run(notebook))
@@ -213,6 +219,7 @@ def test_three_d_holds_what_it_says():
     assert figures(notebook) == 3
 
 
+@pytest.mark.long
 def test_from_the_film_tells_strays_and_what_lasts():
     notebook = jupytext.read(FOLDER / "06_from_the_film.py")
     text = printed(run(notebook))

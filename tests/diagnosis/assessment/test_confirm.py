@@ -97,6 +97,7 @@ def test_where_no_draw_is_plausible_there_are_paths_and_no_evidence():
     assert np.isfinite(posterior(here, cause, run, 1)["posterior"]["torque"]).all()
 
 
+@pytest.mark.long
 def test_where_filters_die_the_linearised_model_gives_the_posterior(monkeypatch):
     here, _, cause = causes()
     filtered = posterior(here, cause, confirm(here, cause, 1), 1)["posterior"]["torque"]

@@ -44,6 +44,7 @@ def test_twins_change_it_alike_and_others_do_not(name, value, twin, other):
     assert share < 0.9
 
 
+@pytest.mark.long
 def test_what_the_body_could_do_is_taken_out():
     """Where lengths are known to 3 %, a camera's scale is what they do not explain: that gravity does not scale."""
     unsure = replace(ARM, uncertainty={"length": 0.03})

@@ -176,6 +176,7 @@ def of_two():
     )
 
 
+@pytest.mark.long
 def test_each_of_two_closes_what_the_other_leaves():
     here, none, both, found, _ = of_two()
     there = unseen(here, none, both)

@@ -31,6 +31,7 @@ def test_another_engines_integration_is_no_gap():
     assert all(found.gap.residual_torque_rms[name] < limit for name, limit in found.gap.tolerated_torque.items())
 
 
+@pytest.mark.long
 def test_friction_is_a_gap_and_what_integration_leaves_beside_it_is_not():
     """How large the share is that does not matter changes what is said of the gap, not its causes."""
     found = diagnosed(0.1)

@@ -170,6 +170,7 @@ def test_errors_larger_than_the_noise_at_rest_are_left():
     assert _alone(bound, pool, replace(right, kappa=RULE.loud - 0.1)) > 0.9
 
 
+@pytest.mark.long
 def test_where_errors_lie_along_the_motion_something_is_left():
     """Mistimed frames look like blur where the catalogue lacks them: wider errors with speed, but in one direction."""
     truth = EFFECTS["timestamp_jitter"]()
@@ -190,6 +191,7 @@ def test_where_errors_lie_along_the_motion_something_is_left():
     assert _alone(bound, pool, right) > 0.9
 
 
+@pytest.mark.quick("restless-1.1-True")
 @pytest.mark.parametrize(("longer", "left"), [(1.0, False), (1.1, True)])
 @pytest.mark.parametrize("torque", ["restless", "smooth"])
 def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(torque, longer, left):
@@ -210,6 +212,7 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
         assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)
 
 
+@pytest.mark.quick("*-0.2-*")
 @pytest.mark.parametrize(
     ("static", "gained", "gives_way"), [(0.01, 0.95, True), (0.01, 0.85, False), (0.2, 0.95, False)]
 )

@@ -24,6 +24,7 @@ def film(fps, seconds):
     return record(arm, 3)[0]
 
 
+@pytest.mark.quick("2000-*")
 @pytest.mark.parametrize(("fps", "seconds"), [(2000, 0.012), (1000, 0.1)])
 def test_in_a_moment_nobody_sees_what_is_missing(fps, seconds):
     """However many rows there are of it."""

@@ -23,6 +23,7 @@ from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
 
 
+@pytest.mark.long
 def test_what_another_recording_does_not_bear_out_is_a_part():
     """An arm whose friction is another one there: what was found was not all there was."""
     first, same, other = recorded(DAMPING, rows=200), recorded(DAMPING, seed=5), recorded(3 * DAMPING, seed=5)
@@ -75,6 +76,7 @@ def test_a_push_is_not_missed_in_another_recording():
     assert not there.leaves
 
 
+@pytest.mark.quick("20")
 @pytest.mark.parametrize("seed", [10, 20])
 def test_another_recording_has_its_own_swapped_labels(seed):
     """Its path is found as the first one's is: not along detections that stray."""
@@ -144,6 +146,7 @@ def sprung(begin, seed):
     return record(arm.with_effects(SPRING).replace(**given), seed)[0]
 
 
+@pytest.mark.quick("2.9")
 @pytest.mark.parametrize("begin", [3.7, 2.9])
 def test_another_recording_may_begin_a_whole_turn_away(begin):
     """A spring feels turns that no camera sees: in one recording it rests at 3.3 rad, in the other at −3."""

@@ -51,6 +51,7 @@ TORQUES = {
 }
 
 
+@pytest.mark.quick("one subnormal", "all subnormal")
 @pytest.mark.parametrize("kind", TORQUES)
 def test_torques_too_small_to_move_anything_are_none(log, kind):
     found = check(replace(log, torques=TORQUES[kind](log)), ARM)
@@ -59,6 +60,7 @@ def test_torques_too_small_to_move_anything_are_none(log, kind):
     assert not found.excited
 
 
+@pytest.mark.long
 def test_a_joint_without_torque_to_speak_of_is_looked_at_with_the_others(log):
     found = check(replace(log, torques=log.torques * [1, 1e-300]), ARM)
     assert found.not_looked_at is None

@@ -19,6 +19,7 @@ from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
 
 
+@pytest.mark.quick("False")
 @pytest.mark.parametrize("left", [True, False])
 def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, left):
     """Where errors of prediction show that something is left, what a torque's prior is wrong about is no bar to it."""

@@ -37,6 +37,7 @@ def searched():
     return refine_play(*loose_joint())
 
 
+@pytest.mark.long
 def test_evidence_is_smooth_in_the_width_and_largest_near_the_true_one():
     """Within some tenths of a nat of a cubic, in ten percent either way; all of them leave nothing.
 
@@ -53,6 +54,7 @@ def test_evidence_is_smooth_in_the_width_and_largest_near_the_true_one():
     assert score.max() - score[3] < 2
 
 
+@pytest.mark.long
 def test_play_is_searched_and_found():
     """The width, from a grid that does not have it, and far more than none explains."""
     here, none, play = loose_joint()

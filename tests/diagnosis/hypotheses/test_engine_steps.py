@@ -28,6 +28,7 @@ def diagnosed(folder, integrator: str, damping: float):
     return diagnose(log, body, without=LEFT_OUT, most=2)
 
 
+@pytest.mark.quick("RK4")
 @pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
 def test_a_right_file_has_no_gap_whatever_plays_it(tmp_path, integrator):
     found = diagnosed(tmp_path, integrator, 0.1)
@@ -36,6 +37,7 @@ def test_a_right_file_has_no_gap_whatever_plays_it(tmp_path, integrator):
     assert any("first-order steps of 1 ms" in line for line in details(found)) == (integrator == "implicitfast")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
 def test_a_damper_has_its_own_size_beside_the_steps(tmp_path, integrator):
     """Half a step of the servo's stiffness, .0125 N·m·s/rad, is as much as half of it."""

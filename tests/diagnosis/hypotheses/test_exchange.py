@@ -34,6 +34,7 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
     assert len(found.pool) < 6  # and no more than a few
 
 
+@pytest.mark.long
 def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     bound = diagnosis_problem(driven("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)
     path, stray = data_path(bound)
@@ -64,6 +65,7 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     assert "stribeck_friction" not in tried  # it leaves nothing either
 
 
+@pytest.mark.long
 def test_in_a_set_too_one_gives_way_while_the_other_stays():
     """Where drag has arrived beside an added rotor, friction takes its place, and the rotor stays."""
     true = {"viscous_friction_damping": 0.05, "armature_inertia": 0.02}

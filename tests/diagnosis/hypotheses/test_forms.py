@@ -65,6 +65,7 @@ def test_a_cameras_own_clock_is_screened_refined_and_told():
     assert (told.effect, told.where, told.key) == ("clock_rate", {"form": "frames"}, "clock_rate.frames")
 
 
+@pytest.mark.long
 def test_noise_as_the_tracker_says_is_found_and_not_where_it_says_nothing_new():
     for change, gained in ((unsure, True), (lambda r: replace(unsure(r), keypoints=r.keypoints), False)):
         bound = diagnosis_problem(change(recording_of(rows=150)), PENDULUM)

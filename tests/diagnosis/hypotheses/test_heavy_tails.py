@@ -33,6 +33,7 @@ def searched(law, seed=0, rows=300):
     return here, stray, search(here, path, stray, LEFT_OUT)
 
 
+@pytest.mark.long
 def test_heavy_tails_take_the_place_of_stray_detections():
     here, stray, found = searched("heavy")
     assert stray
@@ -59,6 +60,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     assert torch.equal(there.parameters["emission.df"], degrees)
 
 
+@pytest.mark.quick("normal")
 @pytest.mark.parametrize("law", ["normal", "strays"])
 def test_normal_noise_and_stray_detections_stay_what_they_are(law):
     here, stray, found = searched(law)
@@ -69,6 +71,7 @@ def test_normal_noise_and_stray_detections_stay_what_they_are(law):
     assert ("outliers" in found.ranked[0].key) is (law == "strays")
 
 
+@pytest.mark.long
 def test_strays_that_bent_their_own_path_are_looked_for_along_that_of_the_other_law():
     here, _, found = searched("strays")
     best, none = found.best, found.pool[""]

@@ -45,6 +45,7 @@ def moved(cause):
     return found.pool[cause.key]
 
 
+@pytest.mark.quick("start1")
 @pytest.mark.parametrize("start", [(1.62, 0.08), (1.40, 0.2)])
 def test_a_push_is_moved_to_when_it_was(start):
     """From a tenth of a second away Gauss–Newton ends somewhere between."""

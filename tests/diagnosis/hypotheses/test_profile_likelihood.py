@@ -48,6 +48,7 @@ def test_stray_detections_are_counted():
     assert refine_searched(clean, refine(clean, (), {}, path, LOOSE), outliers) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("order", [("outliers", "varying_noise"), ("varying_noise", "outliers")])
 def test_noise_that_grows_with_speed_and_stray_detections_make_room_for_each_other(order):
     """Whichever comes first takes the other's part as well, and gives it up: half of the detections stray, or none."""
@@ -95,6 +96,7 @@ def test_a_tracker_may_be_wrong_one_time_in_three(effect):
     assert at_far_end(rate, 0.6)
 
 
+@pytest.mark.long
 def test_stray_detections_beside_a_large_gap_are_not_most_of_all():
     """Where the arm does something else altogether, a path without a residual would leave every detection stray."""
     spring = EFFECTS["joint_stiffness"]("pivot")

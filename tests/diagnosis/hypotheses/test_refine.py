@@ -46,6 +46,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
 
+@pytest.mark.quick("camera_roll*")
 @pytest.mark.parametrize(("name", "values"), [("camera_roll", (0.25,)), ("camera_yaw", (0.9, 1.6))])
 def test_a_camera_that_is_far_from_level_or_square_is_found(name, values):
     """Its angle is whatever it is: ten standard deviations of those that somebody saw to are no reason against it."""
@@ -58,6 +59,7 @@ def test_a_camera_that_is_far_from_level_or_square_is_found(name, values):
     assert np.all(np.abs(cause.mean - values) < 4 * cause.sd)
 
 
+@pytest.mark.long
 def test_an_unknown_torque_tells_nothing_of_masses():
     """Its rough prior alone would: five per cent of doubt were twenty per cent less mass, and no effect plausible."""
     effect = EFFECTS["camera_yaw"]()
@@ -143,6 +145,7 @@ def rubbed(level=0.15, torque=0.5):
     return here, effect, values
 
 
+@pytest.mark.long
 def test_a_path_is_led_through_what_sticks():
     """Where Gauss–Newton by itself ends in a path that nothing explains: from one of an arm that does not stick."""
     here, effect, values = rubbed(0.3, 1.0)
@@ -196,6 +199,7 @@ def off_the_clean_path(recording, points):
     return (torch.remainder(found - true + np.pi, 2 * np.pi) - np.pi).abs().max(), here
 
 
+@pytest.mark.long
 def test_swapped_labels_do_not_bend_the_first_path():
     """Runs of exchanged keypoints, too, which a smoothed start follows."""
     arm = random_arm(ARM, duration=4.0, fps=100, noise=0.001, torque_scale=0.5, commanded=True, seed=1)
@@ -218,6 +222,7 @@ def test_what_strays_from_a_fast_limb_does_not_bend_the_first_path():
     assert off < 0.1  # .34 from a start that follows what strays
 
 
+@pytest.mark.long
 def test_dry_friction_is_found_from_a_third_and_from_twice_of_it():
     here, effect, _ = rubbed()
     none = refine(here, (), {}, path_of(here), LOOSE)

@@ -120,6 +120,7 @@ def heavier():
     )
 
 
+@pytest.mark.long
 def test_steps_that_are_short_in_each_parameter_go_on_where_they_are_long_together():
     """Mass times distance is known well, neither of them is: beside that ridge a step of a hundredth matters."""
     here, effect, found = heavier()

@@ -43,6 +43,7 @@ def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed
         assert found.followed == {PAYLOAD.key: tried}
 
 
+@pytest.mark.quick("payload*")
 @pytest.mark.parametrize(("name", "values"), [("payload", {"mass": 0.4}), ("clock_rate", {"rate": 1.08})])
 def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
     """From any of them the search arrives at all others, which are as good but for their priors."""

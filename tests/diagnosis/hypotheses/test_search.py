@@ -48,6 +48,7 @@ def test_friction_is_named():
     assert screened[place].dprime > 10
 
 
+@pytest.mark.long
 def test_tissue_that_swings_is_found_whatever_the_torque():
     """As it is seen along the data's path, tissue that follows at once explains nothing of it."""
     tissue = EFFECTS["soft_tissue"]("elbow").softened()
@@ -64,6 +65,7 @@ def test_tissue_that_swings_is_found_whatever_the_torque():
     assert np.all(np.abs(best.mean - list(values.values())) < 4 * best.sd)
 
 
+@pytest.mark.long
 def test_no_more_effects_at_once_than_asked_for():
     """Where two are at work, both are found, and one alone where no more are asked for, which leaves something."""
     damped, spring = EFFECTS["viscous_friction"]("pivot"), EFFECTS["joint_stiffness"]("pivot")
@@ -82,6 +84,7 @@ def test_no_more_effects_at_once_than_asked_for():
     assert both.complete
 
 
+@pytest.mark.long
 def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
     """Where drag has arrived beside an added rotor, friction takes its place, as it does beside the rotor alone."""
     by_name = {e.name: e for e in considered(diagnosis_problem(recording_of(), PENDULUM))}
@@ -101,6 +104,7 @@ def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
     assert [best.values[name.removeprefix("effect.")] for name in values] == pytest.approx([0.05, 0.02], rel=0.15)
 
 
+@pytest.mark.long
 def test_where_torques_are_unknown_the_motion_has_no_cause(monkeypatch):
     """Not even play, which no screen ranks: an unknown torque could do what it does, and nobody looks for it."""
     tried = []
@@ -234,6 +238,7 @@ def bending():
     return bound, *data_path(bound)
 
 
+@pytest.mark.long
 def test_what_bends_by_much_is_no_stray_detection():
     """It explains hundreds of nats by itself, which no stray detections do, whatever errors remember."""
     bound, path, stray = bending()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import pytest
 from pendulum import ARM, LOOSE
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
@@ -25,6 +26,7 @@ def evidence(here: DiagnosisProblem) -> float:
     return refine(here, (), {}, data_path(here)[0], LOOSE).log_evidence
 
 
+@pytest.mark.long
 def test_errors_of_integration_cost_no_evidence():
     """They would, dozens of nats, which an effect that is integrated in shorter steps would then have gained."""
     coarse = diagnosis_problem(seen(), ARM).in_substeps(1)

@@ -72,6 +72,7 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     assert not arrived.followed
 
 
+@pytest.mark.long
 def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
     monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
@@ -96,6 +97,7 @@ def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     assert truth.key not in there.followed
 
 
+@pytest.mark.quick("slides")
 @pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
 def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
     """In place of tissue at its own tip, in the best cause alone, and once."""
@@ -126,6 +128,7 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
         assert truth.key not in found.pool
 
 
+@pytest.mark.long
 def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     """From that one's level: where joints stick, the slope near none of it says little."""
     stand_in, friction = (EFFECTS[name]("pivot").bound(PENDULUM) for name in ("coulomb_friction", "load_friction"))
@@ -182,6 +185,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
     assert {effect.key for effect in chain} <= found.pool.keys()
 
 
+@pytest.mark.long
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
@@ -259,6 +263,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     assert followed == [cause.key] * alike
 
 
+@pytest.mark.long
 def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     """The ideal one would leave what the softer form was found for, and never come near."""
     truth, wide = (EFFECTS[name]("pivot").softened() for name in ("coulomb_friction", "stribeck_friction"))
@@ -278,6 +283,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "levels"),
     [

@@ -57,6 +57,7 @@ def test_noise_lies_along_the_motion_no_more_than_across():
     assert along_motion(prediction_errors(unseen, cause), cause) == (0.5, 0.5)
 
 
+@pytest.mark.quick("label_swap")
 @pytest.mark.parametrize("mistake", ["outliers", "label_swap"])
 def test_swapped_keypoints_stray_as_one(mistake):
     """Under a cause that has each stray by itself; one that knows of swaps, or of no mistakes, is not asked."""
@@ -91,6 +92,7 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     assert abs(alike) < 3 * sd
 
 
+@pytest.mark.long
 def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     """However far off the noise at rest is, which only κ knows; of other causes κ says it."""
     here, _, friction = causes()

@@ -46,6 +46,7 @@ def test_in_space(tmp_path):
     assert abs(clock.seconds - 0.5) < max(4 * clock.sd, 1e-3)
 
 
+@pytest.mark.long
 def test_what_does_not_tell_is_refused():
     log, film = apart(robot_log(15), 0.0, 4, 12)
     rng = np.random.default_rng(0)

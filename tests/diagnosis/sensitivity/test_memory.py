@@ -78,6 +78,7 @@ def brute_force(given, memory):
     return -minimize_scalar(lacking, bounds=(-0.5, 1.0), method="bounded", options={"xatol": 1e-4}).fun
 
 
+@pytest.mark.quick("0.2-*", "0.0-*")
 @pytest.mark.parametrize(("memory", "lost"), [(0.0, ()), (0.2, ()), (0.4, ((10, 0), (11, 0), (70, 1)))])
 def test_evidence_is_that_of_a_spike_and_a_slab(memory, lost):
     """The slab integrated by quadrature; with rows lost, a stretch after them begins anew."""
@@ -137,6 +138,7 @@ def test_a_tracker_that_trails_is_no_gap():
     assert 0.5 * right.of_memory < np.nansum(score - white) < 2 * right.of_memory
 
 
+@pytest.mark.long
 def test_errors_that_remember_much_are_something_else():
     here = diagnosis_problem(trailing(RULE.alike + 0.25), PENDULUM)
     path = path_of(here)

@@ -98,6 +98,7 @@ def test_a_push_is_also_looked_for_at_another_time():
     assert screened["viscous_friction"].elsewhere is None
 
 
+@pytest.mark.quick("1.0")
 @pytest.mark.parametrize("strength", [1.0, 0.0])
 def test_a_push_that_is_soon_over_is_looked_for_in_a_stretch_as_short(strength):
     """A tenth of a second hides what strikes within three rows: the arm goes elsewhere than a long push sends it."""

@@ -65,6 +65,7 @@ def test_every_effect_that_a_regime_knows_is_considered(regime):
     assert {e.name for e in considered(bound(regime), ["payload"])} == names - {"payload"}
 
 
+@pytest.mark.quick("commanded-*")
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name != "backlash"])  # no column stands for play
 @pytest.mark.parametrize("regime", ["commanded", "passive", "unknown_torque"])
 def test_columns_of_every_effect(regime, name):
@@ -156,6 +157,7 @@ def test_many_parameter_sets_are_taken_in_turns(key, monkeypatch):
     np.testing.assert_array_equal(parts.d, whole.d)
 
 
+@pytest.mark.long
 def test_a_bending_link_to_first_order():
     """What the screen makes of it is within a tenth of the model along the hinge's own path, of each grid point."""
     model, path = bound().model, followed()
@@ -171,6 +173,7 @@ def test_a_bending_link_to_first_order():
         assert np.abs(columns.g[..., hypothesis.offset] - true).max() < 0.1 * np.abs(true).max()
 
 
+@pytest.mark.long
 def test_friction_that_stops_a_link_within_a_row_is_followed_from_a_value_near_it():
     """Ten rows a second: what large damping does is a hundredth off from the grid, more from where there is none."""
     arm = random_arm(PENDULUM, duration=6, fps=10, noise=0.002, torque_scale=2.0, commanded=True, seed=0)

@@ -34,6 +34,7 @@ def played(body, seed):
     return record(arm.replace(**{"body.armature": rotors, "body.damping": damping}), seed)[0]
 
 
+@pytest.mark.long
 def test_a_free_number_is_learned_beside_the_cause_and_a_fixed_one_stays(nominal, tmp_path):
     body = replace(nominal, uncertainty={"damping.elbow": 0.5})
     log, held_out = (played(nominal, seed) for seed in (3, 4))

@@ -170,6 +170,7 @@ while True:
 """
 
 
+@pytest.mark.long
 def test_a_kill_at_any_moment_leaves_an_entire_checkpoint(tmp_path):
     steps = []
     for wait in (0.0, 0.013):

@@ -135,6 +135,7 @@ def test_torchs_threads_change_nothing():
     assert found[0] == found[1]
 
 
+@pytest.mark.long
 def test_draws_of_an_uncertain_body(pool):
     sizes = {**SIZES, "num_filters": 3}
     alone = infer(SWING, UNCERTAIN, seed=4, **sizes)
@@ -145,6 +146,7 @@ def test_draws_of_an_uncertain_body(pool):
     assert bits(laplace) == bits(infer(SWING, UNCERTAIN, method="laplace", seed=4, **sizes))
 
 
+@pytest.mark.long
 def test_comparison(pool):
     methods = ["smc", "bootstrap", "laplace"]
     sizes = {**SIZES, "num_particles": 200}
@@ -237,6 +239,7 @@ def test_a_killed_worker_of_a_cluster_changes_nothing(alone, cluster):
     assert killed[0] not in cluster.run(os.getpid).values()
 
 
+@pytest.mark.long
 def test_a_cluster_that_goes_on_dying_is_an_error(cluster):
     with pytest.raises(LostWork, match="part 0 could not be had: KilledWorker"):
         distribute(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=cluster.get_executor())
@@ -289,6 +292,7 @@ class Interrupted(Exception):
     pass
 
 
+@pytest.mark.quick("known body")
 @pytest.mark.parametrize("body", [ARM, UNCERTAIN], ids=["known body", "uncertain body"])
 def test_an_interrupted_run_goes_on(tmp_path, monkeypatch, body):
     pytest.importorskip("safetensors")

@@ -5,6 +5,7 @@ import time
 from contextlib import suppress
 
 import parts
+import pytest
 
 from invdyn.inference.execution.executors import process_pool
 
@@ -15,6 +16,7 @@ def wait_for(path):
         time.sleep(0.005)
 
 
+@pytest.mark.long
 def test_interrupted_while_a_worker_writes_its_result(tmp_path):
     told = tmp_path / "half"
     with suppress(KeyboardInterrupt), process_pool(2) as pool:
@@ -25,6 +27,7 @@ def test_interrupted_while_a_worker_writes_its_result(tmp_path):
     assert all(task.done() for task in tasks)
 
 
+@pytest.mark.long
 def test_what_was_cancelled_before_is_no_error(tmp_path):
     told = tmp_path / "begun"
     with suppress(KeyboardInterrupt), process_pool(2) as pool:

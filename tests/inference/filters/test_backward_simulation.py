@@ -76,6 +76,7 @@ def test_genealogy_under_the_exact_guide(chain, y, dtype):
     assert neighbours(draws) == pytest.approx(exact_neighbours(chain, y), abs=0.1)
 
 
+@pytest.mark.quick("controlled-*")
 @pytest.mark.parametrize(("bridge", "block"), [(False, 6), (True, 1), (True, 3), (True, 6)])
 @pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
 def test_backward_simulation(chain, y, guide, bridge, block):

@@ -17,6 +17,7 @@ def default_run(model, y, seed=0):
     return guide, guide.judged(result.log_evidence)
 
 
+@pytest.mark.quick("Counts-*", "Volatility-*", "Positive-*")
 @pytest.mark.parametrize(
     ("kind", "name", "low"),
     [

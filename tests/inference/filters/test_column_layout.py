@@ -67,6 +67,7 @@ def test_the_row_is_the_row(name, guide, gaps):
     check_row(name, guide, gaps)
 
 
+@pytest.mark.quick("arm-Bootstrap-False", "mixture-Bootstrap-False")
 @pytest.mark.parametrize(("guide", "gaps"), [(Bootstrap, False), (Controlled, True)])
 @pytest.mark.parametrize("name", ["arm", "mixture"])
 def test_with_gaps_and_without_by_either_proposal(name, guide, gaps):

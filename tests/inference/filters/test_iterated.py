@@ -86,6 +86,7 @@ def test_the_refit_of_wrong_factors_finds_the_right_ones():
     assert adapted.factors.log_evidence == pytest.approx(kalman(chain, y.numpy())[0], abs=0.02)
 
 
+@pytest.mark.long
 def test_the_evidence_stays_unbiased():
     model, y = heavy()
     torch.manual_seed(1)

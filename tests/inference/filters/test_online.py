@@ -35,6 +35,7 @@ def y(chain):
 
 
 # -- the filter --------------------------------------------------------------------------------------
+@pytest.mark.quick("0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 def test_the_filter_agrees_with_kalman(chain, y, threshold):
     model = chain.model(T)
@@ -154,6 +155,7 @@ def test_paris_agrees_with_kalman(chain, y, backward, threshold):
         assert ((value.mean(0) - torch.as_tensor(exact)).abs() < 4 * error + 0.3 * rows / size).all()
 
 
+@pytest.mark.long
 def test_paris_has_less_variance_than_the_genealogy(chain):
     """Over many rows the first row's mean is lost with one line, and kept with two."""
     y = torch.as_tensor(chain.simulate(60, seed=2)[1])

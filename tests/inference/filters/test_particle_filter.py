@@ -66,6 +66,7 @@ def run(particle_filter, y, way):
     return particle_filter.log_evidence, torch.stack(resampled)
 
 
+@pytest.mark.quick("systematic-*", "multinomial-*-steps")
 @pytest.mark.parametrize("way", ["run", "steps"])
 @pytest.mark.parametrize("guide", [Bootstrap, Ahead])
 @pytest.mark.parametrize("dtype", [F32, F64])
@@ -82,6 +83,7 @@ def test_evidence_is_unbiased_over_a_thousand_filters(chain, y, scheme, dtype, g
     oracles.assert_unbiased(log_evidence, oracles.kalman(chain, y)[0])
 
 
+@pytest.mark.quick("0.2")
 @pytest.mark.parametrize("threshold", [1e-6, 0.2, 1.0])
 def test_evidence_is_unbiased_whenever_it_resamples(chain, y, threshold):
     model = chain.model(STEPS)

@@ -175,6 +175,7 @@ def test_it_is_kalman_where_nothing_switches():
     assert np.allclose(inner.covariances[0, 1], smooth_covs)
 
 
+@pytest.mark.quick("Mixed")
 @pytest.mark.parametrize("kind", [Mixed, HeavyTailed])
 def test_another_outer_state_agrees_with_a_filter_of_both(kind):
     model = kind(seed=3)

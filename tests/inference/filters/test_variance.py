@@ -65,6 +65,7 @@ def test_without_resampling_it_is_the_sample_variance_of_the_weights(chain):
     assert torch.allclose(log_evidence_variance(result), weights.var(-1) / 50)
 
 
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("resampling", ["systematic", "stratified", "residual"])
 def test_other_schemes_of_resampling(chain, resampling, threshold):

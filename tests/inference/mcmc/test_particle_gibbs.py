@@ -49,6 +49,7 @@ def assert_exact(paths, means, covariances, effective):
     assert np.abs((found - covariances) / unit).max() < 4.5 * np.sqrt(2 / effective)
 
 
+@pytest.mark.quick("5-0.5")
 @pytest.mark.parametrize(("particles", "threshold"), [(5, 1.0), (15, 1.0), (5, 0.5)])
 def test_few_blind_particles_find_the_exact_posterior(particles, threshold):
     model, y, means, covariances = small()
@@ -60,6 +61,7 @@ def test_few_blind_particles_find_the_exact_posterior(particles, threshold):
     assert_exact(paths, means, covariances, 600)
 
 
+@pytest.mark.quick("controlled-1.0", "bootstrap-0.5")
 @pytest.mark.parametrize("threshold", [1.0, 0.5])
 @pytest.mark.parametrize("kind", ["bootstrap", "controlled", "misled"])
 def test_a_sweep_leaves_the_posterior_as_it_is(kind, threshold):
@@ -167,6 +169,7 @@ def test_ranks_of_the_truth_are_uniform():
         assert kstest(row, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.long
 def test_it_agrees_with_controlled_smc_and_says_how_it_mixed():
     given = arm()
     options = SMCOptions(num_filters=50, num_particles=10, num_draws=4)
@@ -180,6 +183,7 @@ def test_it_agrees_with_controlled_smc_and_says_how_it_mixed():
     assert stats["ess_bulk"] > 150
 
 
+@pytest.mark.long
 def test_chains_are_the_same_wherever_they_run_and_are_kept(tmp_path):
     pytest.importorskip("safetensors")
     given = arm()

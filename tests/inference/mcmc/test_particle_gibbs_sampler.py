@@ -12,6 +12,7 @@ from invdyn.inference.contract import ModelError
 from invdyn.models import LinearGaussian
 
 
+@pytest.mark.quick("controlled-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("guide", ["bootstrap", "controlled", "misled"])
 def test_a_linear_model_against_rts(guide, threshold):
@@ -44,6 +45,7 @@ def test_a_linear_model_against_rts(guide, threshold):
     assert np.abs(last.var(0) / sd**2 - 1).max() < 4.5 * np.sqrt(2 / 1000)
 
 
+@pytest.mark.long
 def test_the_growth_model_against_a_grid():
     """Two modes at many rows: the sign of x_t is hardly seen."""
     steps, model = 12, Growth(12)

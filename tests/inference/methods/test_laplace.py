@@ -21,6 +21,7 @@ def record():
 KNOWN = {"torque.scale": 4.0, "torque.decay": 5.0, "emission.keypoint_scale": 0.005}
 
 
+@pytest.mark.long
 def test_an_uncertain_body_is_integrated_out():
     link = {"joint": "shoulder", "tip": "elbow", "length": 0.5, "mass": 2.0}
     arm = Body("arm", [Link("l", **link)], uncertainty={"mass": 0.3})

@@ -53,6 +53,7 @@ class Pair(Constants):
         return Normal(state[..., :1], self.parameters["noise"]).to_event(1)
 
 
+@pytest.mark.quick("vsmc", "laplace", "svi")
 @pytest.mark.parametrize("method", METHODS)
 def test_a_posterior_far_from_the_methods_own_is_not_usable(method):
     model = Growth(25)
@@ -63,6 +64,7 @@ def test_a_posterior_far_from_the_methods_own_is_not_usable(method):
     assert "bootstrap" in evidence_note(idata)
 
 
+@pytest.mark.quick("vsmc", "laplace", "svi")
 @pytest.mark.parametrize("method", METHODS)
 def test_a_posterior_near_the_methods_own_is_usable(method):
     model = Counts(20)

@@ -101,6 +101,7 @@ def by_grid():
     return given, free, mean.item(), sd.item(), (joint.logsumexp(0) + np.log(11 / 220)).item()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps", [0, 15])
 def test_parameters_have_their_exact_posterior(by_grid, steps):
     given, free, mean, sd, evidence = by_grid

@@ -58,6 +58,7 @@ def test_the_walk_adapts_to_the_acceptance(result):
     assert abs(result.acceptance.mean().item() - 0.2) < 0.06
 
 
+@pytest.mark.quick("counts")
 @pytest.mark.parametrize("name", ["volatility", "counts"])
 def test_it_agrees_with_smc2(name):
     model, y = simulated(name, rows=12)
@@ -90,6 +91,7 @@ def test_a_likelihood_too_noisy_to_use_is_marked(result):
     assert result.statistics["usable"] == 1
 
 
+@pytest.mark.long
 def test_several_recordings_at_once_have_each_their_own_posterior(case):
     model, y, exact = case
     other = -0.4 * y

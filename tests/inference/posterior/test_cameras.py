@@ -81,6 +81,7 @@ def test_cameras_are_the_readers():
         np.testing.assert_allclose(ours[:, c], project(camera, points), rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_rows_and_start():
     views = views_of(ring(3))
     views.pixels[4, 1] = np.nan
@@ -126,6 +127,7 @@ def test_a_clock_that_is_20_ms_ahead_is_found():
     assert (np.abs(off) < 3 * sd).all()
 
 
+@pytest.mark.long
 def test_cameras_that_are_turned_are_integrated_out():
     """A calibration half a degree off: without turns, what is off for good is taken for what lasts."""
     views = views_of(ring(3))
@@ -159,6 +161,7 @@ def test_a_length_is_learned_from_two_cameras():
     assert abs(float(found.model.parameters["body.sites"][0, 0]) - 0.4) < 3 * sd
 
 
+@pytest.mark.long
 def test_laplace_finds_the_length_too_and_its_slopes_know_that_the_path_moves():
     """Against evidences that are each fitted from the start."""
     problem = arm_problem(filmed(views_of(ring(2))), rod(Learned(0.3)), parameters=KNOWN, substeps=1)
@@ -177,6 +180,7 @@ def test_laplace_finds_the_length_too_and_its_slopes_know_that_the_path_moves():
     assert around[1] > max(around[0], around[2])
 
 
+@pytest.mark.long
 def test_filters_agree_with_the_gaussian_smoother():
     """Of noise that is Gaussian, and a rod that turns little within it: both have nearly the same evidence."""
     problem = arm_problem(filmed(views_of(ring(2))), rod(), parameters=KNOWN, substeps=1)

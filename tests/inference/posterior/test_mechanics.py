@@ -47,6 +47,7 @@ def test_energy_and_power_are_those_of_the_velocities(posterior):
     assert {parts[name].attrs["units"] for name in ("kinetic_energy", "potential_energy")} == {"J"}
 
 
+@pytest.mark.long
 def test_an_uncertain_body_counts_draw_by_draw(recording, tmp_path):
     body = Body("arm", BODY.links, uncertainty={"mass": 0.2})
     idata = infer(recording, body, num_filters=6, num_particles=20, num_draws=2)

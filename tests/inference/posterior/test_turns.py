@@ -41,6 +41,7 @@ def slips(model, path, truth):
     return np.round((np.median(off[GAP.stop + 2 :], 0) - np.median(off[: GAP.start - 2], 0)) / (2 * np.pi))
 
 
+@pytest.mark.quick("8")
 @pytest.mark.parametrize("seed", [4, 6, 8])
 def test_the_likeliest_way_over_a_gap_is_the_true_one(seed):
     """One path through the gap is a turn off, 6 nats and more behind; another start finds the right one."""
@@ -56,6 +57,7 @@ def test_the_likeliest_way_over_a_gap_is_the_true_one(seed):
     assert gauss_newton(model, rows, start=path).log_evidence > first.log_evidence
 
 
+@pytest.mark.long
 def test_the_fit_begins_and_ends_with_the_likeliest_way():
     arm, recording, truth = recorded(27)
     task = prepare(recording, arm, options=SMCOptions(), seed=0)
@@ -74,6 +76,7 @@ def test_a_way_that_is_nearly_as_likely_is_told():
     assert "from 1700000001.3 to 1700000001.867 s" in str(replace(doubt, begin=1.7e9 + 1.3, end=1.7e9 + 56 / 30))
 
 
+@pytest.mark.long
 def test_what_is_in_doubt_is_in_the_summary_and_outlives_a_checkpoint(monkeypatch, tmp_path):
     """The likeliest of other ways is told whatever its probability, if one asks for that."""
     monkeypatch.setattr(turns, "TOLD", 0.0)

@@ -94,6 +94,7 @@ def test_a_markov_guide_finds_back():
     assert not maximise(guide, path_model(model, y), max_steps=5)[1]
 
 
+@pytest.mark.long
 def test_mean_field_begins_at_the_best_of_its_family():
     """KL(q, p) is least where σ_i² = 1/Λ_ii; then the bound is below log p(y) by ½ Σ log Λ_ii − ½ log |Λ|."""
     chain, model, y = linear()
@@ -132,6 +133,7 @@ def test_the_score_term_that_is_dropped_is_zero_on_average():
     assert gradients[0].abs().max() > 0.1
 
 
+@pytest.mark.long
 def test_pyros_own_autonormal_on_the_sequence_reaches_the_same_bound():
     chain, model, y = linear(steps=6)
     smoother = gauss_newton(model, y)

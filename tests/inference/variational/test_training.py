@@ -83,6 +83,7 @@ from invdyn.models import LinearGaussian
 """
 
 
+@pytest.mark.long
 def test_killed_training_goes_on_to_the_same_answer(tmp_path):
     program = PROGRAM + inspect.getsource(trained) + "trained(40, sys.argv[1], killed_at=18)"
     killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])

@@ -55,6 +55,7 @@ def test_published_example_has_the_published_evidence():
     assert kalman(chain, y.numpy())[0] == pytest.approx(-46.8917, abs=5e-5)
 
 
+@pytest.mark.long
 def test_training_closes_the_gap_of_the_published_example():
     chain, model, y = published()
     exact = kalman(chain, y.numpy())[0]
@@ -161,6 +162,7 @@ class Autoregression(StateSpaceModel):
         return Chain(a, q**2, np.eye(1), r**2, np.zeros(1), np.eye(1))
 
 
+@pytest.mark.long
 def test_a_bootstrap_guide_learns_parameters_by_the_default_gradient():
     """Without the ancestors' part of the gradient the same steps end some nats lower."""
     torch.manual_seed(0)
@@ -176,6 +178,7 @@ def test_a_bootstrap_guide_learns_parameters_by_the_default_gradient():
     assert kalman(found.chain(), y.numpy())[0] > kalman(right.chain(), y.numpy())[0]
 
 
+@pytest.mark.long
 def test_posterior_of_a_parameter_with_a_prior():
     """q(θ) learned beside the filter, against a grid."""
     chain = Chain(*(np.array(x) for x in ([[0.8]], [[0.25]], [[1.0]], [[0.1]], [0.0], [[1.0]])))

@@ -62,6 +62,7 @@ def off_by(model: ArmModel, parameter: str, values: tuple[float, ...], theta: np
     return np.abs(model.split(states)[1].numpy() - theta[:, None]).max((0, 2))
 
 
+@pytest.mark.quick("*[!-]-1")
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.filterwarnings("ignore:.*clockwise")
@@ -185,6 +186,7 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
 
 
+@pytest.mark.quick("RK4*", "implicitfast*")
 @pytest.mark.parametrize(
     ("integrator", "flag", "late"),
     [
@@ -227,6 +229,7 @@ SERVOS = {
 }
 
 
+@pytest.mark.quick("position-1")
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("kind", SERVOS)
 @pytest.mark.filterwarnings("ignore:.*clockwise")

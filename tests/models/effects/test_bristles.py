@@ -19,6 +19,7 @@ def pushed():
     return torch.as_tensor(1.2 * np.sin(2 * np.pi * 0.8 * time))[:, None]
 
 
+@pytest.mark.quick("100.0")
 @pytest.mark.parametrize("stiffness", [100.0, 400.0])
 def test_a_rod_turns_around_on_its_bristles(stiffness, having):
     model = rod(rows=ROWS, step=STEP, command=pushed())
@@ -41,6 +42,7 @@ def test_a_rod_turns_around_on_its_bristles(stiffness, having):
     assert qd[:, 0] == pytest.approx(exact[:, 1], abs=5e-3 * np.abs(exact[:, 1]).max())
 
 
+@pytest.mark.long
 def test_it_is_lugre_in_mujoco(having):
     """A motor without electricity that rubs as ``lugre`` says."""
     mujoco = pytest.importorskip("mujoco")

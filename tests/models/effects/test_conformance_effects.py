@@ -148,6 +148,7 @@ def test_places_are_checked(name, arm):
 
 
 # -- what it does ----------------------------------------------------------------------------------
+@pytest.mark.quick("dtype1-*")
 @EVERY
 @pytest.mark.parametrize("joints", [1, 2, 3])
 @pytest.mark.parametrize("dtype", [F32, F64])
@@ -169,6 +170,7 @@ def test_absent_it_is_the_ideal_arm(name, joints, dtype, arm, states, widened):
         torch.testing.assert_close(seen.log_prob(y), ideal.emission(x, rows).log_prob(y), **tolerance)
 
 
+@pytest.mark.quick("dtype1-*")
 @EVERY
 @pytest.mark.parametrize("dtype", [F32, F64])
 def test_parameter_sets_at_once(name, dtype, arm, states):
@@ -197,6 +199,7 @@ def test_parameter_sets_at_once(name, dtype, arm, states):
             torch.testing.assert_close(found, expected.to(dtype), **tolerance)
 
 
+@pytest.mark.quick("drawn-*")
 @EVERY
 @pytest.mark.parametrize("start", ["absent", "drawn"])
 def test_gradients(name, start, arm, states):
@@ -230,6 +233,7 @@ def test_gradients(name, start, arm, states):
             assert slope.item() == pytest.approx((rise / (2 * step)).item(), rel=1e-3, abs=1e-3), key
 
 
+@pytest.mark.quick("1.0-1.0-*")
 @EVERY
 @pytest.mark.parametrize(("size", "weight"), [(0.05, 1e-3), (1.0, 1.0), (4.0, 40.0)])
 def test_it_simulates_from_mouse_to_robot(name, size, weight, arm):

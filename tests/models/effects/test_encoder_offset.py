@@ -77,6 +77,7 @@ def servo_with_offset(path, rows: int, more: float = OFF, limits: str = "") -> t
     )
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*clockwise")
 @pytest.mark.parametrize("limits", ["", 'forcerange="-1.2 .9"'])
 def test_a_servo_that_follows_it_moves_as_in_mujoco(tmp_path, limits):
@@ -104,6 +105,7 @@ def test_a_servos_encoder_is_found(tmp_path):
     assert finding.parameters["offset"].mean == pytest.approx(body.joint_parts[0].sign * OFF, abs=0.004)
 
 
+@pytest.mark.quick("elbow-False")
 @pytest.mark.filterwarnings("ignore:.*the torques miss")  # by much
 @pytest.mark.parametrize(("joint", "filmed"), [("shoulder", True), ("shoulder", False), ("elbow", False)])
 def test_of_encoders_alone_the_first_one_may_be_tilted_gravity(joint, filmed):

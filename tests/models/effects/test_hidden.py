@@ -107,6 +107,7 @@ def halves(rows, step):
     )
 
 
+@pytest.mark.quick("push")
 @pytest.mark.parametrize(
     ("effect", "other", "values"),
     [
@@ -185,6 +186,7 @@ def test_an_impact_within_a_step_moves_no_centre_of_inertia(step, having):
     assert rotor * (q - psi) + (total - rotor) * q == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.long
 def test_in_the_gap_the_link_coasts_for_as_long_as_the_rotor_needs(pushed):
     """The rotor, of inertia J = I_com/2, crosses the width in √(2 w J/τ); after it the impulse is as without play.
 

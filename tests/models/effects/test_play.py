@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 import torch
 from rod import F64
 from scipy.integrate import solve_ivp
@@ -99,6 +100,7 @@ def off(step):
     return np.abs(mine[:both] - theirs[:both]).max(0)
 
 
+@pytest.mark.long
 def test_contacts_within_rows_are_followed():
     """Twenty-one impacts in 1.2 s, four within a hundredth, and the stops let go between them."""
     _, rows, impacts = exact()
@@ -110,6 +112,7 @@ def test_contacts_within_rows_are_followed():
     assert off(0.01)[rates].max() < 3e-3
 
 
+@pytest.mark.long
 def test_errors_fall_with_the_fourth_power_through_contacts_too():
     coarse, fine, finest = off(0.005), off(0.0025), off(0.00125)
     assert (coarse / fine > 10).all()

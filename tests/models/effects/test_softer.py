@@ -93,6 +93,7 @@ def test_a_rod_that_friction_holds_creeps(creep, having):
     assert qd[:, 0] == pytest.approx(slow + (0.5 - slow) * np.exp(-time / 0.02), abs=1e-12)
 
 
+@pytest.mark.long
 def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
     ends, kinds = {}, [CoulombFriction(f"joint{k}").softened() for k in range(2)]
     command = np.tile([0.5, -0.2], (41, 1))
@@ -109,6 +110,7 @@ def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
     assert fine < coarse / 3
 
 
+@pytest.mark.quick("0.8")
 @pytest.mark.parametrize("level", [0.3, 0.8])
 def test_mujocos_default_friction_is_the_softer_one(level, having):
     """A rod swings, comes to rest and creeps: thirty times as near to it as under the ideal law."""
@@ -121,6 +123,7 @@ def test_mujocos_default_friction_is_the_softer_one(level, having):
     assert near < far / 30
 
 
+@pytest.mark.long
 def test_mujocos_default_stop_is_the_softer_one(having):
     """A rod falls onto it: within 1.5 mrad, which no spring and damper come to."""
     theirs = in_mujoco('range="-9 0.1" limited="true"', -0.6, 2.0, gravity=9.81)
@@ -135,6 +138,7 @@ def test_mujocos_default_stop_is_the_softer_one(having):
             assert np.abs(q[:, 0] - theirs).max() > 0.005
 
 
+@pytest.mark.quick("upper-1.0")
 @pytest.mark.parametrize(("side", "sign"), [("upper", 1.0), ("lower", -1.0)])
 def test_a_steady_torque_presses_a_softer_stop_in_by_its_softness(side, sign, having):
     """e = R τ / k; that from which its search begins is as deep as the ideal one, τ / k."""

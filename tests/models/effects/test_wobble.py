@@ -85,6 +85,7 @@ def test_the_camera_sees_it_and_the_arm_does_not_feel_it(arm, having, states):
     torch.testing.assert_close(seen[:, 2:], true[:, 2:])
 
 
+@pytest.mark.quick("0")
 @pytest.mark.parametrize("tip", [0, 1])
 def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, having):
     """δ = −κ p̈ where it swings fast, p what a bending arm's tip does; and the arm moves as without it."""

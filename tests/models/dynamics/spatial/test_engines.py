@@ -23,6 +23,7 @@ def bodies(first_seed):
 SAME = 1e-9  # of the largest entry: both sides are of float64, and D's condition is at most a few thousand
 
 
+@pytest.mark.quick("*[2-5] joints", "panda*")
 @bodies(0)
 def test_agrees_with_mujoco(tree):
     dynamics, p, engine = SpatialDynamics(tree), tree.parameters(), MuJoCo(tree)
@@ -42,6 +43,7 @@ def test_agrees_with_mujoco(tree):
         close(change, theirs["potential_energy"] - at_rest, SAME)
 
 
+@pytest.mark.quick("*[2-5] joints", "panda*")
 @bodies(100)
 def test_agrees_with_pinocchio(tree):
     pin, model, order = pinocchio_of(tree)
