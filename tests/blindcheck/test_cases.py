@@ -61,6 +61,7 @@ def check(case, kind, folder):
     return read
 
 
+@pytest.mark.quick("[!t]*", "two-effect8")
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
 def test_a_case_is_whole(kind, effect, tmp_path, hasty):
     check(make_case(7, kind, effect), kind, tmp_path)
@@ -152,6 +153,7 @@ def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
     assert effect["dprime"] == pytest.approx(effect["visibility_rms"] * np.sqrt(keypoints[frames].size))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
 def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse_steps):
     """A link that hangs on one side of its gear's play moves as it would without, from another angle."""

@@ -20,6 +20,7 @@ def test_one_encoder_shows_more_and_the_others_the_angles():
     np.testing.assert_allclose(off, true + np.array([0.0, 0.05]), atol=1e-5)
 
 
+@pytest.mark.quick("pinocchio")
 @pytest.mark.parametrize("engine", ["mujoco", "pinocchio"])
 def test_a_case_has_encoders_and_shows_it(engine):
     """Keypoints say where the arm is, so that the encoder of one joint reads the offset more, all along."""

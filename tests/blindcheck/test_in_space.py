@@ -53,6 +53,7 @@ def ideal(tree, real, row, rows, resisted):
     return dynamics.keypoints(torch.stack(path), p).numpy() - real.points[after, 1:]
 
 
+@pytest.mark.quick("3-*", "7-*")
 @pytest.mark.parametrize(
     ("joints", "branch", "servos", "damped"),
     [(5, True, False, False), (4, False, True, True), (7, None, False, False), (3, False, False, True)],
@@ -136,6 +137,7 @@ def test_its_catalogue_is_that_of_the_diagnosis():
     assert "actuator_gain" not in effects_of("passive", SPATIAL)
 
 
+@pytest.mark.quick("commanded-*", "passive-*")
 @pytest.mark.parametrize(
     ("kind", "effect"), [("commanded", "label_swap"), ("passive", "coulomb_friction"), ("leave_one_out", "armature")]
 )

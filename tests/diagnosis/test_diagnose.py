@@ -111,6 +111,7 @@ def test_a_simulation_that_runs_away_is_told_in_one_line(monkeypatch, part, erro
         diagnose(recording_of(), PENDULUM)
 
 
+@pytest.mark.long
 def test_what_is_named_is_not_said_to_be_hidden():
     """With unknown torque a base that shakes is the one effect of the dynamics that can be named."""
     shake = {"sine_x": 0.02, "cosine_x": 0.006, "sine_y": 0.006, "cosine_y": 0.006, "frequency": 3.1}

@@ -131,6 +131,7 @@ def test_a_base_that_leans_turns_gravity_about_the_level_axes(body):
     assert tilt.body(none, body.parameters()).gravity.tolist() == [0.0, 0.0, -9.81]
 
 
+@pytest.mark.long
 def test_seven_hinges_in_space(tmp_path):
     write_mjcf(panda(), tmp_path / "panda.xml")
     text = (tmp_path / "panda.xml").read_text(encoding="utf-8")

@@ -120,6 +120,7 @@ def making(tmp_path, monkeypatch):
     return make, begun, breaks
 
 
+@pytest.mark.long
 def test_cases_that_were_made_before_an_interruption_are_not_made_again(making, tmp_path):
     make, begun, breaks = making
     commitment, names = make("whole"), ["case-0000", "case-0001", "case-0002"]

@@ -109,6 +109,7 @@ def assert_smoothed(paths, exact, effective):
     assert np.abs(paths.var(0) / exact.variance - 1).max() < 6 / math.sqrt(effective)
 
 
+@pytest.mark.quick("mcmc")
 @pytest.mark.parametrize("kind", ["exact", "mcmc"])
 def test_backward_sampling(case, kind):
     model, y, exact = case
@@ -121,6 +122,7 @@ def test_backward_sampling(case, kind):
     assert_smoothed(paths, exact, 2000)
 
 
+@pytest.mark.quick("0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 def test_particle_gibbs(case, threshold):
     model, y, exact = case

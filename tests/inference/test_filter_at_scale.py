@@ -119,6 +119,7 @@ def test_the_time_loop_of_a_filter_waits_for_nothing(arm, guide):
     assert waits(lambda: particle_filter.run(y, synchronous=True)) > counts[12] + STEPS - 1
 
 
+@pytest.mark.quick("affine-*")
 @pytest.mark.parametrize("gradient", GRADIENTS)
 @pytest.mark.parametrize("guide", ["affine", "corrected"])
 def test_the_time_loop_of_the_bound_waits_for_nothing(arm, gradient, guide):
@@ -173,6 +174,7 @@ def stop_at(row):
     return progress
 
 
+@pytest.mark.quick("5-*")
 @pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
 @pytest.mark.parametrize("keep", [None, 4, 0])
 @pytest.mark.parametrize("stop", [2, 5, 9])

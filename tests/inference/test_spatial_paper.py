@@ -11,6 +11,7 @@ from invdyn.simulate import paper_arm, record
 SIZES = SMCOptions(num_filters=16, num_particles=100, num_draws=4)
 
 
+@pytest.mark.quick("0.1")
 @pytest.mark.parametrize("noise", [0.1, 0.003])
 def test_a_hundred_particles_do_and_intervals_hold_the_truth(noise):
     model = paper_arm(load_body("paper_spatial_arm"), num_frames=60)

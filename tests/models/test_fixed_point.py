@@ -92,6 +92,7 @@ def test_many_sets_are_each_by_itself():
         torch.testing.assert_close(own, settled(model, forgotten(model, path)), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 def test_slopes_save_passes(calls, monkeypatch):
     """A flight across a wide gap takes many rows, one a pass without slopes: as after a step of Gauss–Newton.
 

@@ -27,6 +27,7 @@ def screened(name, place, **values):
     return here, screen(here, here.model, path, effects, common, common.mean)
 
 
+@pytest.mark.quick("gravity_tilt*")
 @pytest.mark.parametrize(
     ("name", "value", "twin", "other"),
     [

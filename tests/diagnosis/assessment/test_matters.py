@@ -21,6 +21,7 @@ def diagnosed(damping, **options):
     return diagnose(robot_log(1.0, (0.0, damping)), ARM, without=left_out, **options)
 
 
+@pytest.mark.long
 def test_another_engines_integration_is_no_gap():
     """MuJoCo's usual step errs in the first order; whatever imitates that best is not called a gap."""
     found = diagnosed(0.0)

@@ -135,6 +135,7 @@ def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
         assert (_alone(bound, pool, right) == 0.0) is left
 
 
+@pytest.mark.quick("True-True", "False-*")
 @pytest.mark.parametrize(("left", "sized"), [(True, False), (True, True), (False, False)])
 def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monkeypatch):
     """Beside one that leaves nothing it counts P(2)/P(1) = .08/.5 of what it else would; once, if its size tells."""

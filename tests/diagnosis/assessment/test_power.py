@@ -41,6 +41,7 @@ def test_in_a_second_it_shows():
     assert said.gap.probability < 0.1
 
 
+@pytest.mark.quick("loss0-*", "loss3-*")
 @pytest.mark.parametrize(
     ("loss", "hidden"),
     [

@@ -79,6 +79,7 @@ def test_a_rotor_follows_the_acceleration():
     assert inertia / 2 < -coefficient < 2 * inertia  # terms beside it take a part
 
 
+@pytest.mark.quick("viscous*")
 @pytest.mark.parametrize(
     ("effect", "seed", "term", "size", "values"),
     [

@@ -106,6 +106,7 @@ def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
         assert torch.equal(each.carried_to(quieter).parameters[name], here.model.parameters[name])
 
 
+@pytest.mark.long
 def test_the_noise_goes_with_its_keypoint():
     """Another recording may have its columns in another order, or a keypoint that the first one did not track."""
     links = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]

@@ -190,6 +190,7 @@ def test_what_is_refused_is_printed_and_passed_by_force(log):
         diagnosis_problem(wrong, ARM, force=True)
 
 
+@pytest.mark.long
 def test_the_option_goes_past_a_refusal(tmp_path, log, monkeypatch):
     def begins(*_, **given):
         raise InputError(f"begun by force: {given['force']}")

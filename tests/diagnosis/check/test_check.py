@@ -40,6 +40,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.quick("scale", "direction", "time", "degrees", "zero")
 @pytest.mark.parametrize("kind", MISTAKES)
 def test_a_mistake_is_found_with_its_joint_and_size(log, kind):
     spoil, joints, value = MISTAKES[kind]

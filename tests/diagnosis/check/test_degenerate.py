@@ -68,6 +68,7 @@ def test_a_joint_without_torque_to_speak_of_is_looked_at_with_the_others(log):
     assert all(np.isfinite([each.value, each.sd]).all() for each in found.excited)
 
 
+@pytest.mark.quick("1.0-0.0", "None-*")
 @pytest.mark.parametrize("angle", [0.0, 1.0, SUBNORMAL])
 @pytest.mark.parametrize("torque", [None, 1.0])
 def test_a_joint_that_does_not_move_is_accused_of_nothing(log, angle, torque):

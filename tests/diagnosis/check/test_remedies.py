@@ -82,6 +82,7 @@ def test_of_a_servo_it_is_the_target_that_is_too_large(tmp_path):
     assert wrong.value == pytest.approx(0.2, rel=0.1)
 
 
+@pytest.mark.quick("rad")
 @pytest.mark.parametrize("unit", ["deg", "rad"])
 def test_a_unit_that_a_mapping_has_is_not_named_again(tmp_path, unit):
     """Numbers far too large even in the unit that stands there."""
@@ -156,6 +157,7 @@ def test_columns_of_ranges_are_exchanged_as_the_log_has_them(tmp_path):
     assert wrong.after < CLEAN
 
 
+@pytest.mark.quick("0")
 @pytest.mark.parametrize("seed", range(3))
 def test_torques_that_have_nothing_to_do_with_the_motion_are_not_said_to_be_too_large(seed):
     """Noise that is made small enough misses little of the other joint's torques, and all of its own."""

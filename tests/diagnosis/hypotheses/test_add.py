@@ -34,6 +34,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     assert set(asked) == {-ERRS if left else 500}
 
 
+@pytest.mark.quick("0.05-*")
 @pytest.mark.parametrize(("damping", "large", "looked"), [(0.0, 10.0, True), (0.05, 10.0, False), (0.05, 60.0, True)])
 def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, damping, large, looked):
     """A rigid arm follows small play without a residual torque: that nothing is left does not speak against play.
@@ -60,6 +61,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     assert ("backlash" in tried) is looked
 
 
+@pytest.mark.quick("viscous_friction--1.0-0.0-True", "coulomb*")
 @pytest.mark.parametrize(
     ("other", "strays", "ahead", "looked"),
     [

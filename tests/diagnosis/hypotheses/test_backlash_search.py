@@ -72,6 +72,7 @@ def test_play_is_searched_and_found():
     assert [one - other for one, other in pairs] == pytest.approx([7.0, 7.0])
 
 
+@pytest.mark.long
 def test_its_width_is_as_certain_as_its_evidence_is_sharp():
     """The posterior's standard deviation is that of the evidence, by differences; and the truth is within three."""
     here, none, play = loose_joint()

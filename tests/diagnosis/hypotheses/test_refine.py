@@ -210,6 +210,7 @@ def test_swapped_labels_do_not_bend_the_first_path():
     assert off_the_clean_path(recording, points)[0] < 0.6  # 2.9 from a start that follows the labels
 
 
+@pytest.mark.long
 def test_what_strays_from_a_fast_limb_does_not_bend_the_first_path():
     """Though under its own torque the limb could go there."""
     arm = random_arm(ARM, duration=4.0, fps=50, noise=0.002, torque_scale=1.0, commanded=False, seed=1)
@@ -281,6 +282,7 @@ def test_an_uncertain_body_is_fitted_too():
     assert confirmed.log_evidence == pytest.approx(cause.log_evidence, abs=0.5 + 4 * confirmed.log_evidence_sd)
 
 
+@pytest.mark.long
 def test_a_written_inertia_is_known_no_better_than_the_mass():
     """Of a link that is heavier by 4 % than it is said to be, as a whole, nothing but its mass is to blame."""
     stated = Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)

@@ -206,6 +206,7 @@ def test_exact_twins_stand_side_by_side(truth, twin, parameter, value):
     assert {first.key, second.key} <= set(keys[:3])
 
 
+@pytest.mark.long
 def test_stray_detections_are_explained_before_anything_else(monkeypatch):
     """Under them nothing else can be told; what is refined is what may stand beside them."""
     arm = random_arm(ARM, duration=3.0, fps=50, noise=0.001, torque_scale=1.0, commanded=True, seed=4)

@@ -21,6 +21,7 @@ from invdyn.simulate import random_arm
 SWAP = sys.modules[follow_neighbours.__module__]
 
 
+@pytest.mark.quick("*-two joints")
 @pytest.mark.parametrize("body", [PENDULUM, ARM], ids=["one joint", "two joints"])
 @pytest.mark.parametrize(("name", "parameter"), [("actuator_delay", "delay"), ("camera_latency", "latency")])
 def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name, parameter, body):

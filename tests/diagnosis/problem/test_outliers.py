@@ -39,6 +39,7 @@ def test_jumps_are_no_fast_arm(rate):
     np.testing.assert_array_equal(left[kept], seen[kept])
 
 
+@pytest.mark.quick("0", "-1", "-3")
 @pytest.mark.parametrize("row", [0, 1, 2, -3, -2, -1])
 def test_jumps_at_the_ends(row):
     """Where a parabola goes on beyond its points noise is some five times as large: of strays of 60 all go."""

@@ -147,6 +147,7 @@ def test_errors_that_remember_much_are_something_else():
     assert _alone(here, pool, right) == 0.0
 
 
+@pytest.mark.long
 def test_a_diagnosis_says_what_errors_remember():
     found = diagnose(trailing(0.25), PENDULUM, without=MANY)
     assert [finding.key for finding in found.causes[0].effects] == [FRICTION.key]

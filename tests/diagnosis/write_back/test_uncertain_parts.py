@@ -73,6 +73,7 @@ def test_what_is_uncertain_is_said_by_quantity_or_of_one_joint(nominal, tmp_path
     assert Body.load(tmp_path / "robot.toml") == stated
 
 
+@pytest.mark.long
 def test_masses_of_a_tree_are_learned_beside_the_cause_and_written(tmp_path):
     """MuJoCo plays a forearm a tenth heavier than its file says, and a shoulder with more damping."""
     (tmp_path / "arm.xml").write_text(ARM)

@@ -223,6 +223,7 @@ def test_a_part_that_kills_all_its_workers_is_named(pool, fresh_pools):
         distribute(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=executor)
 
 
+@pytest.mark.long
 def test_a_killed_worker_of_a_cluster_changes_nothing(alone, cluster):
     assert bits(infer(SWING, ARM, seed=4, executor=cluster.get_executor(), **SIZES)) == bits(alone)
     before = set(cluster.run(os.getpid).values())

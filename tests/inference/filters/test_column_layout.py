@@ -61,6 +61,7 @@ def rows(model, guide, y, seen):
     return names, outputs
 
 
+@pytest.mark.quick("arm-*", "friction-Bootstrap-*", "camera-Bootstrap*", "mixture-*", "[a-b]*-Controlled*")
 @pytest.mark.parametrize(("guide", "gaps"), [(Bootstrap, True), (Controlled, False)])
 @pytest.mark.parametrize("name", MODELS)
 def test_the_row_is_the_row(name, guide, gaps):

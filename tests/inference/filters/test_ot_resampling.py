@@ -81,6 +81,7 @@ def chain():
     return chain.model(10), torch.as_tensor(y), oracles.kalman(chain, y)[0]
 
 
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("softness", [0.1, 0.5, 1.0])
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 def test_soft_resampling_leaves_the_evidence_unbiased(chain, softness, threshold):

@@ -272,6 +272,7 @@ class Overflows(Bootstrap):
         return new, ratio
 
 
+@pytest.mark.long
 def test_particles_that_overflow_have_weight_zero(chain, y):
     model = chain.model(STEPS)
     result = ParticleFilter(model, Overflows(model), 400, num_filters=500).run(torch.as_tensor(y))

@@ -43,6 +43,7 @@ def z(estimates, values):
     return float((estimates.mean() - variance) / error)
 
 
+@pytest.mark.quick("*-0.5", "*-1e-06")
 @pytest.mark.parametrize("threshold", [1e-6, 0.5, 1.0])
 @pytest.mark.parametrize("lag", [None, 6, 100])
 def test_the_variance_of_the_log_evidence(chain, threshold, lag):

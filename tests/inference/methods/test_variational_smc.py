@@ -124,6 +124,7 @@ def test_parameters_have_their_exact_posterior(by_grid, steps):
     assert json.loads(stats["unidentified"]) == []
 
 
+@pytest.mark.long
 def test_torque_scale_trades_with_mass_and_the_posterior_says_so():
     """Without gravity the motion knows torque over inertia alone."""
     free = [Free("body.mass"), Free("torque.scale")]

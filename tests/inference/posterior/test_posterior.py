@@ -320,6 +320,7 @@ def test_netcdf_round_trip(everything, tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.quick("0.5", "0.99")
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
 def test_a_truncated_file_is_an_input_error(everything, tmp_path, share):
     path = tmp_path / "posterior.nc"

@@ -65,6 +65,7 @@ def test_the_fit_begins_and_ends_with_the_likeliest_way():
     assert "in_doubt" not in task.record
 
 
+@pytest.mark.long
 def test_a_way_that_is_nearly_as_likely_is_told():
     arm, recording, _ = recorded(12)
     problem = arm_problem(recording, arm)

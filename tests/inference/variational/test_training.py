@@ -47,6 +47,7 @@ def assert_same(found, expected):
         assert torch.equal(found[name], value), name
 
 
+@pytest.mark.quick("15")
 @pytest.mark.parametrize("stop", [5, 15, 40])
 def test_resumed_training_ends_as_one_that_was_never_stopped(tmp_path, stop):
     trained(stop, tmp_path)

@@ -123,6 +123,7 @@ def arm(steps=20):
 
 
 # -- learning ----------------------------------------------------------------------------------
+@pytest.mark.long
 def test_parameters_of_a_linear_model_are_those_of_maximum_likelihood():
     chain = Chain(*(np.array(x) for x in ([[0.8]], [[0.25]], [[1.0]], [[0.1]], [0.0], [[1.0]])))
     y = chain.simulate(60, 2)[1]

@@ -131,6 +131,7 @@ def test_parts_survive_a_file(tmp_path):
     assert Body.load(tmp_path / "arm.toml") == body
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*clockwise")
 def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
     """Of MuJoCo's actuator and bias torques; of the servo's command alone it would be ten times as large."""

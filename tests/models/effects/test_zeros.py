@@ -95,6 +95,7 @@ def predicted(model, x, zeros, *, plane):
     return torch.cat([after.reshape(-1), seen.reshape(-1)]).numpy()
 
 
+@pytest.mark.quick("*-False")
 @pytest.mark.parametrize(("name", "plane"), [*((n, False) for n in IN_SPACE), *((n, True) for n in IN_PLANE)])
 def test_no_law_depends_on_where_an_angle_is_zero(name, plane, states):
     zeros = ZEROS * [1, 0] if plane else ZEROS

@@ -28,6 +28,7 @@ def exchanged(views, one, other):
     return replace(views, pixels=views.pixels[:, order])
 
 
+@pytest.mark.quick("3-*", "4-0-3")
 @pytest.mark.parametrize(
     ("count", "one", "other"), [(2, 0, 1), (3, 0, 1), (3, 0, 2), (3, 1, 2), (4, 0, 3), (4, 1, 2), (4, 1, 3)]
 )
@@ -36,6 +37,7 @@ def test_the_two_cameras_are_named(count, one, other):
         reconstruct(exchanged(filmed(count), one, other), name="arm")
 
 
+@pytest.mark.quick("3-*", "2-*", "4-1.0")
 @pytest.mark.parametrize("noise", [0.0, 1.0, 10.0])
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_right_cameras_are_trusted_though_a_tracker_errs(count, noise):

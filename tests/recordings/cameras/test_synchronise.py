@@ -28,6 +28,7 @@ def tracks(calibration, frames=60, noise=1.0, moving=True):
     return found
 
 
+@pytest.mark.long
 def test_offsets_are_found():
     calibration = ring(3)
     given = tracks(calibration)

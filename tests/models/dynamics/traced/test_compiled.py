@@ -39,6 +39,7 @@ def test_mixed_types_are_torchs():
         same(fast.forward(q, qd, tau, p, own), slow.forward(q, qd, tau, p, own))
 
 
+@pytest.mark.quick("random*", "paper*")
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("tree", [paper_arm(), panda(), random_tree(3, 5)], ids=lambda tree: tree.name)
 def test_torchs_bits(tree, dtype):
