@@ -127,7 +127,7 @@ def triangulate(
     with ProgressBar() as progress:
         films = read_tracks(files, cameras, fps=fps, format=format, individual=individual)
         clocks = {} if find is None else find_offsets(films, cameras, find, progress)
-        offsets |= {name: clock.seconds for name, clock in clocks.items() if clock.sure}
+        offsets |= {name: clock.seconds for name, clock in clocks.items() if clock.significant}
         views = put_in_order(at_one_time(films, cameras, offsets))
         progress(0, 1, "triangulate")
         scene = reconstruct(
@@ -163,7 +163,7 @@ def triangulate(
         spread = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
         say(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
     for name, clock in clocks.items():
-        if not clock.sure:
+        if not clock.significant:
             say(
                 f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, not "
                 "surely a clock, as a tracker's lasting errors look alike; --offset states a known one"

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
-from invdyn.recordings.cameras.synchronise import Clock, spread
+from invdyn.recordings.cameras.synchronise import Clock, sandwich_sd
 
 SHARED = 0.5
 """Of the shorter of the two, that they must have together."""
@@ -135,4 +135,4 @@ def _sd(places: Callable[[np.ndarray], np.ndarray], film: Recording, offset: flo
         terms, _ = _misfits(places(film.time - by), film.keypoints)
         return np.array([np.nansum(part) for part in np.array_split(terms, BLOCKS)])
 
-    return spread(misfits, offset, step)
+    return sandwich_sd(misfits, offset, step)

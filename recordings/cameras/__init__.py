@@ -4,7 +4,6 @@ from .boards import Board
 from .bundle import Adjusted, bundle_adjust
 from .calibrate import calibrate
 from .camera import Calibration, Camera
-from .camera_tables import write_calibration
 from .filmed import Filmed, filmed, load_filmed
 from .formats import read_calibration
 from .projection import project, rays, undistort
@@ -12,6 +11,7 @@ from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
 from .sides import put_in_order, sides_kept
 from .synchronise import Clock, find_offsets
+from .toml_cameras import write_calibration
 from .triangulate import Triangulated, triangulate
 from .views import Views, at_one_time, match_names, read_tracks
 

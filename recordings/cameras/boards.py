@@ -1,8 +1,9 @@
 """Boards that calibrate a camera: a checkerboard or a ChArUco board, found in a picture by OpenCV (extra `cameras`).
 
 A checkerboard is named by its inner corners, 9x6 for ten by seven squares; a ChArUco board by its squares. Corners have
-numbers and places on the board, (n, 3) m, z = 0. A checkerboard that is turned by half a turn looks the same unless one
-side is odd and the other even: then the first square is dark, and every camera numbers its corners alike.
+numbers and positions on the board, (n, 3) m, z = 0. A checkerboard rotated by half a revolution looks the same unless
+one side is odd and the other even: then the first square is dark, and every camera numbers its corners in the same
+order.
 """
 
 from dataclasses import dataclass
@@ -14,8 +15,8 @@ import numpy as np
 from ..errors import InputError
 
 KINDS = ("checkerboard", "charuco")
-FEWEST = 6
-"""Corners that a picture must show: a ChArUco board may be half hidden."""
+MIN_CORNERS = 6
+"""Corners that a picture must show. A ChArUco board may be half hidden."""
 
 
 def opencv() -> Any:
@@ -77,8 +78,8 @@ class Board:
         return cls(kind, int(columns), int(rows), square, marker, dictionary)
 
     @property
-    def told_apart(self) -> bool:
-        """Whether two cameras number the corners alike whatever way the board is turned."""
+    def is_unambiguous(self) -> bool:
+        """Whether two cameras number the corners in the same order for every orientation of the board."""
         return self.kind == "charuco" or (self.columns + self.rows) % 2 == 1
 
     @cached_property
@@ -98,7 +99,7 @@ class Board:
     def find(self, picture: np.ndarray) -> np.ndarray | None:
         """Pixels (n, 2) of all corners in a grey picture (H, W) uint8, NaN of those not seen; None without a board."""
         found = self._find_checkerboard(picture) if self.kind == "checkerboard" else self._find_charuco(picture)
-        return found if found is not None and np.isfinite(found).all(-1).sum() >= FEWEST else None
+        return found if found is not None and np.isfinite(found).all(-1).sum() >= MIN_CORNERS else None
 
     def _find_checkerboard(self, picture: np.ndarray) -> np.ndarray | None:
         cv2 = opencv()
@@ -106,7 +107,7 @@ class Board:
         if not there:
             return None
         corners = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-        if self.told_apart and not self._first_is_dark(picture, corners):
+        if self.is_unambiguous and not self._first_is_dark(picture, corners):
             corners = corners[::-1]
         return corners
 

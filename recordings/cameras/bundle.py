@@ -1,11 +1,11 @@
-"""Bundle adjustment: poses of the cameras, and if asked their lenses, together with the points that they see.
+"""Bundle adjustment: poses of the cameras, and at choice their lenses, together with the points that they see.
 
 Maximises the likelihood of `triangulate`, Student-t with ν = 4 in the plane, over cameras and points at once: EM's
-weights in turn with a few steps of SciPy's trust-region least squares on an exact, sparse Jacobian (Triggs et al.,
-"Bundle adjustment: a modern synthesis", 2000). What no pixel can tell is held: the first camera's pose, and the scale,
-by the distance from the first camera to the one farthest from it. Lenses stay as they are unless asked for: few points
-of one body say little of a focal length, and a fit that may move it moves it far. Nor are poses better than a careful
-calibration's where a tracker is wrong in one view for long: the poses take that over.
+weights alternate with a few steps of SciPy's trust-region least squares on an exact, sparse Jacobian (Triggs et al.,
+"Bundle adjustment: a modern synthesis", 2000). Pixels determine neither the first camera's pose nor the scale: both are
+fixed, the scale by the distance from the first camera to the one farthest from it. By default lenses are fixed as well:
+a few points of one body determine a focal length poorly. A careful calibration's poses are better than adjusted ones
+where a tracker is wrong in one view for long, since the poses absorb such errors.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from scipy.spatial.transform import Rotation
 from ..errors import InputError
 from .camera import Calibration, Camera
 from .projection import project_with_jacobian
-from .triangulate import FAR, FREEDOM, triangulate
+from .triangulate import DEGREES_OF_FREEDOM, UNSEEN, triangulate
 
 INTRINSICS = ("focal", "distortion")
-STEPS = 4
-"""Evaluations of a least-squares problem before its weights are taken anew."""
-FEWEST = 8
-"""Points that a camera must share with others: six numbers of its pose, and some to spare."""
+EVALUATIONS_PER_ROUND = 4
+"""Evaluations of a least-squares problem before its weights are computed again."""
+MIN_SHARED_POINTS = 8
+"""Points that a camera must share with others. Its pose has six numbers, each point gives two."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +56,16 @@ def bundle_adjust(
     """Adjust C cameras and N points.
 
     Args:
-        calibration: where to begin.
+        calibration: the initial values.
         pixels: (N, C, 2), NaN where a camera does not see the point.
         confidence: (N, C), in [0, 1]; default 1.
-        intrinsics: of `INTRINSICS`, what to free beside the poses: "focal", one factor a camera for fx and fy;
-            "distortion", the first two radial coefficients of Brown's law.
+        intrinsics: of `INTRINSICS`, what to estimate in addition to the poses: "focal", one factor a camera for fx and
+            fy; "distortion", the first two radial coefficients of Brown's law.
         rounds: of weights and least squares, at most.
 
     Raises:
-        InputError: as `triangulate`; an unknown name, a fisheye lens whose distortion is to be freed, or a camera that
-            shares too few points with the others.
+        InputError: as `triangulate`; an unknown name, a fisheye lens whose distortion is to be estimated, or a camera
+            that shares too few points with the others.
     """
     if unknown := [name for name in intrinsics if name not in INTRINSICS]:
         raise InputError(f"unknown part of a lens {unknown[0]!r}: known are {', '.join(INTRINSICS)}")
@@ -74,16 +74,17 @@ def bundle_adjust(
     trust = np.ones(pixels.shape[:2]) if confidence is None else np.clip(np.nan_to_num(confidence), 0, 1)
     used = np.isfinite(start.residuals).all(-1) & (trust > 0)
     for camera, count in zip(calibration, used.sum(0), strict=True):
-        if count < FEWEST:
+        if count < MIN_SHARED_POINTS:
             raise InputError(
-                f"camera {camera.name!r} shares {count} points with the others, expected {FEWEST} or more: leave it out"
+                f"camera {camera.name!r} shares {count} points with the others, expected {MIN_SHARED_POINTS} or "
+                "more: leave it out"
             )
         if "distortion" in intrinsics and camera.fisheye:
             raise InputError(f"camera {camera.name!r} has a fisheye lens, whose distortion stays as it is")
     problem = _Bundle(calibration, pixels[known], trust[known] * used[known], start.scale, tuple(intrinsics))
     vector, converged = problem.fit(problem.pack(start.points[known]), rounds)
     cameras, points = problem.unpack(vector)
-    adjusted, factor = _held_scale(calibration, replace(calibration, cameras=tuple(cameras)))
+    adjusted, factor = _rescaled(calibration, replace(calibration, cameras=tuple(cameras)))
     whole = np.full((len(pixels), 3), np.nan)
     origin = calibration.cameras[0].position
     whole[known] = origin + factor * (points - origin)
@@ -101,7 +102,7 @@ def bundle_adjust(
     )
 
 
-def _held_scale(before: Calibration, after: Calibration) -> tuple[Calibration, float]:
+def _rescaled(before: Calibration, after: Calibration) -> tuple[Calibration, float]:
     """The scene scaled about the first camera until the first and the farthest are as far apart as they were."""
     origin = before.cameras[0].position
     distance = [np.linalg.norm(camera.position - origin) for camera in before]
@@ -116,7 +117,7 @@ def _held_scale(before: Calibration, after: Calibration) -> tuple[Calibration, f
 
 @dataclass(frozen=True)
 class _Bundle:
-    """Parameters in one vector: 6 a camera but the first (turn, shift), then its lens's, then 3 a point."""
+    """Parameters in one vector: 6 a camera but the first (rotation vector, shift), then its lens's, then 3 a point."""
 
     calibration: Calibration
     pixels: np.ndarray
@@ -135,7 +136,7 @@ class _Bundle:
         return 6 * (len(self.calibration) - 1) + self.lens_size * len(self.calibration)
 
     def pack(self, points: np.ndarray) -> np.ndarray:
-        """Where to begin: the cameras as given."""
+        """The initial vector: the cameras as given."""
         return np.concatenate([np.zeros(self.camera_size), points.ravel()])
 
     def unpack(self, vector: np.ndarray) -> tuple[list[Camera], np.ndarray]:
@@ -170,28 +171,28 @@ class _Bundle:
         """Weights and least squares in turn, until the cost stays; the last vector, and whether it did."""
         cost = np.inf
         for _ in range(rounds):
-            square = (self._misses(vector) ** 2).sum(-1)
-            before, cost = cost, 0.5 * (FREEDOM + 2) * np.log1p(square / FREEDOM).sum()
+            square = (self._errors(vector) ** 2).sum(-1)
+            before, cost = cost, 0.5 * (DEGREES_OF_FREEDOM + 2) * np.log1p(square / DEGREES_OF_FREEDOM).sum()
             if before - cost < 1e-7 * cost:
                 return vector, True
-            root = np.sqrt((FREEDOM + 2) / (FREEDOM + square))
+            root = np.sqrt((DEGREES_OF_FREEDOM + 2) / (DEGREES_OF_FREEDOM + square))
             vector = least_squares(
-                lambda v, root=root: (root[..., None] * self._misses(v)).ravel(),
+                lambda v, root=root: (root[..., None] * self._errors(v)).ravel(),
                 vector,
                 jac=lambda v, root=root: self._jacobian(v, root),
                 x_scale="jac",
                 tr_solver="lsmr",
                 tr_options={"atol": 1e-9, "btol": 1e-9, "maxiter": 500},
-                max_nfev=STEPS,
+                max_nfev=EVALUATIONS_PER_ROUND,
             ).x
         return vector, False
 
-    def _misses(self, vector: np.ndarray) -> np.ndarray:
+    def _errors(self, vector: np.ndarray) -> np.ndarray:
         """(C, M, 2) projection less pixel, in σ; 0 of a pixel that is not there."""
         cameras, points = self.unpack(vector)
         rows = []
         for c, camera in enumerate(cameras):
-            miss = np.nan_to_num(project_with_jacobian(camera, points)[0] - self.pixels[:, c], nan=FAR)
+            miss = np.nan_to_num(project_with_jacobian(camera, points)[0] - self.pixels[:, c], nan=UNSEEN)
             rows.append(np.sqrt(self.trust[:, c, None]) * miss / self.sigma)
         return np.stack(rows)
 
@@ -243,7 +244,7 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 
 
 def _left_jacobian(turn: np.ndarray) -> np.ndarray:
-    """How exp of a rotation vector turns with it: d exp(ω) v = −(exp(ω) v) × J(ω) dω."""
+    """J(ω), the left Jacobian of a rotation vector: d exp(ω) v = −(exp(ω) v) × J(ω) dω."""
     angle = np.linalg.norm(turn)
     cross = _cross(turn)
     if angle < 1e-4:  # the series, whose next term is below rounding

@@ -27,7 +27,7 @@ def calibrate(
         progress: called as (done, total, what).
 
     Returns:
-        The cameras, and what each one's pictures said.
+        The cameras, and the lens that was fitted to each one's pictures.
 
     Raises:
         InputError: as `grey_pictures`, `fit_intrinsics` and `fit_rig`.

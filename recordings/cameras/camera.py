@@ -16,16 +16,16 @@ import numpy as np
 
 from ..errors import InputError
 
-WORST_ROTATION = 1e-3
-"""Largest entry of R Rᵀ − I that rounding in a file excuses."""
-LARGEST_SIZE = 10**6
+ROTATION_TOLERANCE = 1e-3
+"""Of R Rᵀ − I, each entry: as much as rounding in a file causes."""
+MAX_SIDE = 10**6
 """px, of a picture's side."""
-LEAST_FOCAL = 1e-3
-"""px; less is zero but for rounding."""
-TINY = 1e-30
-"""A coefficient of distortion below it is 0: no picture shows it, and its inverse leaves a float's range."""
-LARGEST = 1e9
-"""Of any number, a thousand kilometres in mm; powers of larger ones leave a float's range."""
+MIN_FOCAL = 1e-3
+"""px. A smaller one is zero up to rounding."""
+MIN_DISTORTION = 1e-30
+"""A smaller coefficient of distortion counts as 0: it is invisible, and its inverse overflows."""
+MAX_VALUE = 1e9
+"""Of any number of a camera: a thousand kilometres in mm. Powers of larger ones overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class Camera:
         distortion: (5,) Brown's k1, k2, p1, p2, k3, or (4,) with `fisheye`; fewer of Brown's are filled with zeros.
         rotation: (3, 3) R, scene to camera.
         translation: (3,) t, in metres or the set's own unit.
-        size: width and height of the picture, px, or None when the calibration does not say.
+        size: width and height of the picture, px, or None when the calibration does not state it.
         fisheye: which law of distortion.
 
     Raises:
-        InputError: shapes that do not fit, values that are not finite or beyond `LARGEST`, a focal length below
-            `LEAST_FOCAL`, skew, a matrix that is no rotation, a size beyond `LARGEST_SIZE`.
+        InputError: shapes that do not fit, values that are not finite or beyond `MAX_VALUE`, a focal length below
+            `MIN_FOCAL`, skew, a matrix that is not a rotation, a size beyond `MAX_SIDE`.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Camera:
         self._check_rotation()
         if self.size is not None:
             width, height = self._numbers("size", (2,)).tolist()
-            if not (1 <= width <= LARGEST_SIZE and 1 <= height <= LARGEST_SIZE):
+            if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
                 raise InputError(
                     f"camera {self.name!r}: expected size as width and height in px, got [{width:g}, {height:g}]"
                 )
@@ -77,13 +77,13 @@ class Camera:
             raise InputError(f"camera {self.name!r}: {field} must have shape {shape}, got {values.shape}")
         if not np.isfinite(values).all():
             raise InputError(f"camera {self.name!r}: {field} has a value that is not finite")
-        if values.size and (largest := np.abs(values).max()) > LARGEST:
+        if values.size and (largest := np.abs(values).max()) > MAX_VALUE:
             raise InputError(f"camera {self.name!r}: {field} has a value beyond 10⁹, {largest:.3g}: no camera's is")
         return values
 
     def _coefficients(self) -> np.ndarray:
         given = self._numbers("distortion", None).ravel()
-        given[np.abs(given) < TINY] = 0.0
+        given[np.abs(given) < MIN_DISTORTION] = 0.0
         most = 4 if self.fisheye else 5
         if given[most:].any():
             law = "a fisheye lens has 4" if self.fisheye else "Brown's law has 5 (k1, k2, p1, p2, k3)"
@@ -94,7 +94,7 @@ class Camera:
 
     def _check_matrix(self) -> None:
         (fx, skew, _), (zero, fy, _), last = self.matrix
-        if not (fx >= LEAST_FOCAL and fy >= LEAST_FOCAL):
+        if not (fx >= MIN_FOCAL and fy >= MIN_FOCAL):
             raise InputError(f"camera {self.name!r}: focal lengths must be positive, got {fx:g} and {fy:g} px")
         if skew or zero or list(last) != [0.0, 0.0, 1.0]:
             raise InputError(
@@ -103,9 +103,9 @@ class Camera:
 
     def _check_rotation(self) -> None:
         error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
-        if error > WORST_ROTATION or np.linalg.det(self.rotation) < 0:
+        if error > ROTATION_TOLERANCE or np.linalg.det(self.rotation) < 0:
             raise InputError(
-                f"camera {self.name!r}: its rotation is none (off by {error:.2g}, determinant "
+                f"camera {self.name!r}: its matrix is not a rotation (off by {error:.2g}, determinant "
                 f"{np.linalg.det(self.rotation):.3g}): expected a rotation from the scene to the camera"
             )
 
@@ -121,7 +121,7 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """(3,) where it stands in the scene: −Rᵀ t."""
+        """(3,) position in the scene: −Rᵀ t."""
         return -self.rotation.T @ self.translation
 
     def scaled(self, factor: float) -> "Camera":

@@ -14,45 +14,45 @@ from ..errors import InputError
 from .triangulate import triangulate
 from .views import Views
 
-NOISE, FAR = 0.01, 0.1
-"""Of E: errors that nobody asks about, and those that no tracker makes."""
-HALF = 0.5
-"""Of e, that is left at most once two cameras are put back."""
-ROWS = 40
-"""That an exchange is tried on."""
+USUAL_ERROR, MAX_ERROR = 0.01, 0.1
+"""e/E: up to the first nothing is checked; beyond the second the error is no tracker's."""
+MAX_ERROR_LEFT = 0.5
+"""Of e, if exchanging two cameras is to explain the error."""
+TRIAL_ROWS = 40
+"""Rows on which an exchange is tried."""
 
 
 def suspicion(views: Views, residuals: np.ndarray) -> str | None:
-    """A sentence on what is wrong with the cameras' files; None for nothing.
+    """A sentence about what is wrong with the cameras' files; None for nothing.
 
     Args:
         views: tracks and cameras.
         residuals: (T, P, C, 2) px, NaN where there is no pixel or no point.
     """
-    some = np.unique(np.linspace(0, len(views.time) - 1, ROWS).round().astype(int))
+    some = np.unique(np.linspace(0, len(views.time) - 1, TRIAL_ROWS).round().astype(int))
     own, extent = _median(residuals[some]), _extent(views.pixels)
-    if not own > NOISE * extent > 0:
+    if not own > USUAL_ERROR * extent > 0:
         return None
-    said = f"pixels lie {own:.3g} px from where the points would be seen (median)"
+    where = f"pixels lie {own:.3g} px from where the points would be seen (median)"
     few = views.at(some)
     tried = {pair: _exchanged(few, pair) for pair in combinations(range(len(views.calibration)), 2)}
     (one, other), left = min(tried.items(), key=lambda item: item[1])
-    if left < HALF * own:
+    if left < MAX_ERROR_LEFT * own:
         names = views.calibration.names
         return (
-            f"{said}, and {left:.3g} px if {names[one]} and {names[other]} have each other's tracks: exchange these "
+            f"{where}, and {left:.3g} px if {names[one]} and {names[other]} have each other's tracks: exchange these "
             "two files, or the two cameras' names in the calibration"
         )
-    if own > FAR * extent:
+    if own > MAX_ERROR * extent:
         return (
-            f"{said}, {100 * own / extent:.0f} % of the body's extent, far beyond a tracker's errors: are files and "
+            f"{where}, {100 * own / extent:.0f} % of the body's extent, far beyond a tracker's errors: are files and "
             "cameras exchanged, or tracks, times and calibration of different films?"
         )
     return None
 
 
 def _exchanged(views: Views, pair: tuple[int, int]) -> float:
-    """The median error, px, where two cameras have each other's tracks; infinite where nothing can be told."""
+    """The median error, px, where two cameras have each other's tracks; infinite where it cannot be computed."""
     order = np.arange(len(views.calibration))
     order[list(pair)] = order[list(pair)[::-1]]
     tried = replace(views, pixels=views.pixels[:, order], confidence=views.confidence[:, order])

@@ -6,7 +6,7 @@
 ROS's camera_info files have the first layout, and a `distortion_model` by name (sensor_msgs/distortion_models.hpp).
 
 Names of keys: OpenCV's samples calibration.cpp and stereo_calib.cpp, whose second file, with R and T, is joined by
-giving both. The unit is the one of the board's squares, which the files do not say.
+giving both. The unit is that of the board's squares, which the files do not state.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ import numpy as np
 from ..errors import InputError
 from ..units import METRES
 from .camera import Calibration, Camera
-from .camera_tables import rotation_matrix
 from .opencv_storage import read_storage
+from .toml_cameras import rotation_matrix
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
 DISTORTION = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "Distortion_Coefficients", "D", "dist")
@@ -28,17 +28,17 @@ PAIR = {
     2: (("M2", "K2", "cameraMatrix2"), ("D2", "distCoeffs2")),
 }
 MODELS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
-"""Whether a lens is a fisheye's, by the names of ROS; Brown's law takes a rational polynomial without denominators."""
+"""Whether a lens is a fisheye's, by the names of ROS; a rational polynomial without denominators is Brown's law."""
 ROTATION, TRANSLATION = ("R", "rvec", "rotation"), ("T", "tvec", "translation", "t")
 
 
 def read_opencv(paths: str | Path | Sequence[str | Path], unit: str | None = None) -> Calibration:
     """Read one file, or several: one a camera, or the two of a stereo pair.
 
-    A single camera without a pose stands at the origin. Of several, each needs its own pose.
+    A single camera without a pose is placed at the origin. Of several, each needs its own pose.
 
     Args:
-        paths: the files; a camera is called as its file.
+        paths: the files; a camera has its file's name.
         unit: of T, m, cm or mm; None when it is not known.
 
     Raises:
@@ -51,7 +51,7 @@ def read_opencv(paths: str | Path | Sequence[str | Path], unit: str | None = Non
     if _find(merged, PAIR[1][0]) is not None:
         cameras = _stereo(merged, files)
     else:
-        cameras = [_single(tree, path, alone=len(files) == 1) for path, tree in trees.items()]
+        cameras = [_single(tree, path, single=len(files) == 1) for path, tree in trees.items()]
     calibration = Calibration(tuple(cameras), metric=False)
     return calibration if unit is None else calibration.scaled(METRES[unit])
 
@@ -71,22 +71,22 @@ def _size(tree: dict[str, Any]) -> tuple[int, int] | None:
 
 
 def _flat(value: Any) -> Any:
-    """All numbers in a row; what is nested unevenly stays as it is, and `Camera` says what is wrong with it."""
+    """All numbers in a row; lists of unequal lengths are returned as they are, and `Camera` refuses them."""
     try:
         return np.ravel(value)
     except ValueError:
         return value
 
 
-def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
+def _single(tree: dict[str, Any], path: Path, single: bool) -> Camera:
     matrix, distortion = _find(tree, MATRIX), _find(tree, DISTORTION)
     if matrix is None or distortion is None:
         raise InputError(f"{path}: no camera in it: expected camera_matrix and distortion_coefficients")
     rotation, translation = _find(tree, ROTATION), _find(tree, TRANSLATION)
     if rotation is None or translation is None:
-        if not alone:
+        if not single:
             raise InputError(
-                f"{path}: it says nothing of where the camera stands (R, T); several cameras need that: "
+                f"{path}: it has no pose of the camera (R, T); several cameras need one each: "
                 "invdyn calibrate finds it from films of one board"
             )
         rotation, translation = np.eye(3), np.zeros(3)
@@ -102,7 +102,7 @@ def _single(tree: dict[str, Any], path: Path, alone: bool) -> Camera:
 
 
 def _is_fisheye(tree: dict[str, Any], path: Path) -> bool:
-    """As ROS's name of the model says, or OpenCV's flag. Raises InputError for another name."""
+    """By ROS's name of the model, or OpenCV's flag. Raises InputError for another name."""
     named = tree.get("distortion_model", "")
     if isinstance(named, str) and not named:
         return np.array_equal(tree.get("fisheye_model", 0), 1)

@@ -1,4 +1,4 @@
-"""OpenCV's own files (FileStorage), YAML and JSON, as plain dicts: numbers, texts, lists and matrices, nothing else.
+"""OpenCV's own files (FileStorage), YAML and JSON, as plain dicts of numbers, texts, lists and matrices.
 
     %YAML:1.0
     ---
@@ -10,8 +10,11 @@
        data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
 
 Layout: OpenCV, "XML/YAML/JSON file storages". The part of YAML that these files use is read here line by line: blocks
-of `key: value` told apart by their indent, and lists in brackets over one line or more. No tag makes an object, so that
-a file can do nothing but hold numbers; what goes beyond this part is an InputError with its line.
+of `key: value` by their indent, and lists in brackets over one line or more. No tag creates an object. Anything else is
+an InputError with its line.
+
+OpenCV's own FileStorage is not used: deeply nested lists crash the process in it (5.0.0), ROS's files, which lack the
+first line, are refused, and reading a calibration needs no further package this way.
 """
 
 import json
@@ -48,7 +51,7 @@ def read_storage(path: str | Path) -> dict[str, Any]:
 
 
 def _matrix(key: str, value: Any) -> Any:
-    """An array where a table is a matrix; lists of numbers that are nested evenly are matrices, too."""
+    """An array where a table is a matrix; lists of equal lengths are matrices, too."""
     if isinstance(value, dict) and "data" in value:
         try:
             rows, cols = int(value["rows"]), int(value["cols"])

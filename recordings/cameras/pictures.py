@@ -59,7 +59,7 @@ def _film(path: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
         import imageio_ffmpeg
     except ImportError:
         raise InputError(f"{path}: decoding a film needs one more package: pip install 'invdyn[cameras]'") from None
-    # YUV4MPEG2: a line that says the size, then each frame behind a line of its own; every frame once, as it is stored.
+    # YUV4MPEG2: a line with the size, then each frame behind a line of its own; every frame once, as it is stored.
     form = ["-f", "yuv4mpegpipe", "-strict", "-1", "-pix_fmt", "gray", "-fps_mode", "passthrough", "-"]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", "-i", str(path), "-map", "0:v:0", *form]
     with tempfile.TemporaryFile() as complaints:
@@ -68,11 +68,11 @@ def _film(path: Path, every: int) -> Iterator[tuple[int, np.ndarray]]:
                 assert decoder.stdout is not None
                 yield from _frames(decoder.stdout, every)
             finally:
-                decoder.kill()  # whoever asked may have had enough
+                decoder.kill()  # the caller may stop early
         complaints.seek(0)
-        told = complaints.read().decode(errors="replace").strip().splitlines()
-    if told and decoder.returncode > 0:
-        raise InputError(f"{path}: not a film that ffmpeg can decode ({told[-1][:200]})")
+        lines = complaints.read().decode(errors="replace").strip().splitlines()
+    if lines and decoder.returncode > 0:
+        raise InputError(f"{path}: not a film that ffmpeg can decode ({lines[-1][:200]})")
 
 
 def _frames(stream: IO[bytes], every: int) -> Iterator[tuple[int, np.ndarray]]:

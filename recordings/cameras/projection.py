@@ -19,12 +19,12 @@ import numpy as np
 from .camera import Camera
 
 NEWTON_STEPS = 50
-"""Enough for a start far off; a pixel whose ray is then not found has none."""
+"""Enough for a distant start; a pixel whose ray is not found by then has none."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """The distortion of one camera, and how far it can be trusted.
+    """The distortion of one camera, and its range of validity.
 
     Attributes:
         coefficients: as `Camera.distortion`.
@@ -67,37 +67,37 @@ class Lens:
         r = np.sqrt(np.maximum(r2, 1e-12))
         angle = np.arctan(r)
         t2 = angle * angle
-        bent = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        distorted = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
         steep = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
         near = r2 < 1e-8
-        d = np.where(near, 1 + (k1 - 1 / 3) * r2, bent / r)
-        slope = np.where(near, k1 - 1 / 3, (steep / (1 + r * r) - bent / r) / (2 * r * r))
+        d = np.where(near, 1 + (k1 - 1 / 3) * r2, distorted / r)
+        slope = np.where(near, k1 - 1 / 3, (steep / (1 + r * r) - distorted / r) / (2 * r * r))
         return d, slope
 
-    def undistort(self, bent: np.ndarray) -> np.ndarray:
+    def undistort(self, distorted: np.ndarray) -> np.ndarray:
         """Invert `distort` by Newton's method with halved steps: (…, 2) → (…, 2), NaN where nothing is found."""
-        plane = np.array(bent, dtype=np.float64)
+        plane = np.array(distorted, dtype=np.float64)
         with np.errstate(all="ignore"):  # a pixel far outside overflows, and ends as NaN
             if self.fisheye:
                 plane = plane * self._first_guess(plane)
             for _ in range(NEWTON_STEPS):
                 value, jacobian = self.distort(plane)
-                miss = bent - value
-                step = _solve2(jacobian, miss)
+                error = distorted - value
+                step = _solve2(jacobian, error)
                 reach = 0.5 + 0.5 * np.linalg.norm(plane, axis=-1, keepdims=True)
                 step /= np.maximum(1, np.linalg.norm(step, axis=-1, keepdims=True) / reach)
                 plane = plane + step
-                if not (
-                    np.abs(step) > 1e-11 * (1 + np.abs(plane))
-                ).any():  # what is left is its square; NaN is not more
+                if not (np.abs(step) > 1e-11 * (1 + np.abs(plane))).any():  # the error left is its square
                     break
-            miss = np.linalg.norm(self.distort(plane)[0] - bent, axis=-1)
-            found = (miss < 1e-9 * (1 + np.linalg.norm(bent, axis=-1))) & (np.linalg.norm(plane, axis=-1) <= self.limit)
+            error = np.linalg.norm(self.distort(plane)[0] - distorted, axis=-1)
+            found = (error < 1e-9 * (1 + np.linalg.norm(distorted, axis=-1))) & (
+                np.linalg.norm(plane, axis=-1) <= self.limit
+            )
         return np.where(found[..., None], plane, np.nan)
 
-    def _first_guess(self, bent: np.ndarray) -> np.ndarray:
+    def _first_guess(self, distorted: np.ndarray) -> np.ndarray:
         """Factor of the equidistant lens without coefficients: r = tan ϑ′."""
-        radius = np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-12)
+        radius = np.maximum(np.linalg.norm(distorted, axis=-1, keepdims=True), 1e-12)
         return np.tan(np.minimum(radius, 1.5)) / radius
 
 
@@ -131,13 +131,13 @@ def project_with_jacobian(camera: Camera, points: np.ndarray) -> tuple[np.ndarra
         plane = local[..., :2] / depth
         seen = np.linalg.norm(plane, axis=-1) <= lens.limit
         plane = np.where(seen[..., None], plane, np.nan)
-        bent, by_plane = lens.distort(plane)
+        distorted, by_plane = lens.distort(plane)
         one, zero = np.ones_like(depth), np.zeros_like(depth)
         by_local = np.stack(
             [np.concatenate([one, zero, -plane[..., :1]], -1), np.concatenate([zero, one, -plane[..., 1:]], -1)], -2
         )
         jacobian = camera.focal[:, None] * (by_plane @ (by_local / depth[..., None]))
-    return camera.focal * bent + camera.center, jacobian, local
+    return camera.focal * distorted + camera.center, jacobian, local
 
 
 def undistort(camera: Camera, pixels: np.ndarray) -> np.ndarray:

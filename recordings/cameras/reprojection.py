@@ -1,8 +1,8 @@
 """How well points in space explain the pixels: a row for each camera and keypoint.
 
 A row has the median and the 90 % quantile of the distances |y − π(X)|, px. It has the median of the differences
-y − π(X) across (u) and down (v) the picture: a tracker's lasting offset in that view. It also has the share of strays,
-whose weight fell below a third of the average pixel's.
+y − π(X) across (u) and down (v) the picture: a tracker's constant offset in that view. It also has the share of
+outliers, whose weight is below a third of the average pixel's.
 """
 
 import csv
@@ -12,11 +12,11 @@ from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
-STRAY = 1 / 3
+OUTLIER_WEIGHT = 1 / 3  # of a pixel's weight over the mean
 
 
 @dataclass(frozen=True)
-class Row:
+class CameraErrors:
     """One camera and keypoint; px."""
 
     camera: str
@@ -31,7 +31,7 @@ class Row:
 
 def reprojection(
     cameras: Sequence[str], keypoints: Sequence[str], residuals: np.ndarray, weights: np.ndarray
-) -> list[Row]:
+) -> list[CameraErrors]:
     """Rows for all, keypoints of one camera together, `all` last.
 
     Args:
@@ -47,19 +47,19 @@ def reprojection(
     return rows
 
 
-def _row(camera: str, keypoint: str, residuals: np.ndarray, weights: np.ndarray) -> Row:
+def _row(camera: str, keypoint: str, residuals: np.ndarray, weights: np.ndarray) -> CameraErrors:
     seen = np.isfinite(residuals).all(-1)
     if not seen.any():
-        return Row(camera, keypoint, 0, *[float("nan")] * 5)
-    miss = residuals[seen]
-    distance = np.linalg.norm(miss, axis=-1)
-    u, v = np.median(miss, axis=0)
-    strays = (weights[seen] < STRAY).mean()
-    numbers = (np.median(distance), np.quantile(distance, 0.9), u, v, strays)
-    return Row(camera, keypoint, int(seen.sum()), *map(float, numbers))
+        return CameraErrors(camera, keypoint, 0, *[float("nan")] * 5)
+    error = residuals[seen]
+    distance = np.linalg.norm(error, axis=-1)
+    u, v = np.median(error, axis=0)
+    outliers = (weights[seen] < OUTLIER_WEIGHT).mean()
+    numbers = (np.median(distance), np.quantile(distance, 0.9), u, v, outliers)
+    return CameraErrors(camera, keypoint, int(seen.sum()), *map(float, numbers))
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[CameraErrors]) -> str:
     """Rows as text for people."""
     head = f"{'camera':<14} {'keypoint':<16} {'pixels':>7} {'median':>7} {'90 %':>7} {'u':>7} {'v':>7} {'strays':>7}"
     lines = [
@@ -70,10 +70,10 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join([head, *lines])
 
 
-def csv_text(rows: Sequence[Row]) -> str:
+def csv_text(rows: Sequence[CameraErrors]) -> str:
     """Rows as CSV, an unknown number as an empty cell."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(field.name for field in fields(Row))
+    writer.writerow(field.name for field in fields(CameraErrors))
     writer.writerows(["" if value != value else value for value in astuple(row)] for row in rows)
     return file.getvalue()

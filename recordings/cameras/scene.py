@@ -1,7 +1,7 @@
 """From tracks of several cameras to a recording in space: triangulated, scaled to metres, z up.
 
-A scene whose calibration is not metric is known up to one factor, which a stated length settles: the median distance of
-two keypoints over the frames that show both, or the distance of two cameras.
+A scene whose calibration is not metric is known up to one factor, which a stated length determines: the median
+distance of two keypoints over the frames that show both, or the distance of two cameras.
 """
 
 import warnings
@@ -15,7 +15,7 @@ from ..recording import Recording
 from .bundle import bundle_adjust
 from .camera import Calibration
 from .exchanged_cameras import suspicion
-from .reprojection import Row, reprojection
+from .reprojection import CameraErrors, reprojection
 from .triangulate import triangulate
 from .views import Views
 
@@ -59,10 +59,10 @@ class Length:
 
 @dataclass(frozen=True)
 class Scene:
-    """What came of it.
+    """The result.
 
     Attributes:
-        recording: keypoints (T, P, 3) m, NaN where fewer than two cameras tell; confidence as explained below.
+        recording: keypoints (T, P, 3) m, NaN where fewer than two cameras see a point; confidence as below.
         sd: (T, P, 3) m, standard deviations of x, y, z.
         calibration: the cameras in the recording's frame, metric.
         rows: reprojection errors.
@@ -76,7 +76,7 @@ class Scene:
     recording: Recording
     sd: np.ndarray
     calibration: Calibration
-    rows: list[Row]
+    rows: list[CameraErrors]
     scale: float
     factor: float
 
@@ -117,11 +117,12 @@ def reconstruct(
     calibration = views.calibration
     if not (calibration.metric or lengths or baseline):
         raise InputError(
-            "the calibration does not say what its lengths are in: pass its unit (--unit mm), or a length between two "
+            "the calibration does not state the unit of its lengths: pass its unit (--unit mm), or a length between "
+            "two "
             "keypoints (--length FROM:TO=METRES) or two cameras (--baseline FROM:TO=METRES)"
         )
     if intrinsics and not refine:
-        raise InputError("lenses are adjusted together with poses only: ask for both")
+        raise InputError("lenses are adjusted together with poses only: choose both")
     pixels, confidence = views.flat()
     if refine:
         calibration = bundle_adjust(calibration, pixels, confidence, intrinsics).calibration
@@ -131,19 +132,19 @@ def reconstruct(
         warnings.warn(f"{name}: {doubt}", stacklevel=2)
     points = views.unflat(found.points)
     factor = _factor(points, views.keypoint_names, calibration, lengths, baseline)
-    turn = UP[up]
-    covariance = views.unflat(turn @ found.covariance @ turn.T) * factor**2
+    rotation = UP[up]
+    covariance = views.unflat(rotation @ found.covariance @ rotation.T) * factor**2
     trust = np.minimum(found.weights, 1.0) * np.nan_to_num(confidence)
     return Scene(
         recording=Recording(
             time=views.time,
-            keypoints=factor * points @ turn.T,
+            keypoints=factor * points @ rotation.T,
             keypoint_names=views.keypoint_names,
             confidence=views.unflat(trust.mean(1)),
             name=name,
         ),
         sd=np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)),
-        calibration=replace(calibration.scaled(factor).rotated(turn), error=None if refine else calibration.error),
+        calibration=replace(calibration.scaled(factor).rotated(rotation), error=None if refine else calibration.error),
         rows=reprojection(calibration.names, views.keypoint_names, residuals, views.unflat(found.weights)),
         scale=found.scale,
         factor=factor,
@@ -160,7 +161,7 @@ def _factor(
     if baseline is not None:
         if (found := calibration.baseline(baseline.first, baseline.second)) <= 0:
             raise InputError(
-                f"cameras {baseline.first} and {baseline.second} stand in one place: state another distance"
+                f"cameras {baseline.first} and {baseline.second} have the same position: state another distance"
             )
         return baseline.metres / found
     logs = []

@@ -1,16 +1,17 @@
 """By how much each camera's clock runs ahead of the first one's, from the tracks alone.
 
-A camera whose stamps are off sees a limb where it is not yet, or no more: its rays miss those of the others, the faster
-the limb the more. Cameras join one after the other; the offset of the one that joins makes σ, the scale of a pixel's
-error that `triangulate` finds, least: first over a grid of two frame intervals, then by Brent's method between the best
-point's neighbours. For fractions of a frame all tracks pass one Gaussian window of one frame interval: interpolation
-alone would average noise away halfway between frames, and draw the offset there. Without motion σ hardly depends on
-the offset, and nothing is found.
+A camera whose time stamps are wrong sees a limb at another moment: its rays miss those of the others, by more the
+faster the limb moves. Cameras are added one after the other. The offset of each minimises σ, the scale of a pixel's
+error that
+`triangulate` estimates: first over a grid of two frame intervals, then by Brent's method between the best point's
+neighbours. All tracks are smoothed by a Gaussian window of one frame interval, since interpolation alone averages noise
+most halfway between frames, which would bias the offset to there. Without motion σ hardly depends on the offset, and an
+error is raised.
 
-A tracker that sets a limb off along a steady motion, and for long, looks like a clock that is off: 17 px of a walker
-are 50 ms. So what each keypoint is off by in each view, over the whole film (the median), is taken away first, and what
-is left of the motion, where it changes, tells the offset. How surely, keypoints tell that err each in its own
-way: with the robust misfit of keypoint p, f_p(o), about the best offset,
+A tracker's constant offset along a steady motion looks like a wrong clock: 17 px of a walker are 50 ms. So each
+keypoint's median residual in each view is subtracted first, and changes of the motion determine the offset. Its
+standard
+deviation treats keypoints as independent: with the robust misfit of keypoint p, f_p(o), about the best offset,
 
     sd² = P/(P − 1) Σ_p f_p′² / (Σ_p f_p″)²
 
@@ -28,30 +29,33 @@ from scipy.optimize import minimize_scalar
 from ..errors import InputError
 from ..recording import Recording
 from .camera import Calibration
-from .triangulate import FREEDOM, Triangulated, triangulate
+from .triangulate import DEGREES_OF_FREEDOM, Triangulated, triangulate
 
-MOST_FRAMES = 150
-"""Frames that are looked at, spread over the film."""
-CORRELATED = 4
+MAX_FRAMES = 150
+"""Frames that are used, evenly distributed over the film."""
+CORRELATED_FRAMES = 4
 """Neighbouring frames under a window that count as one."""
-FINEST = 0.05
-"""Of a frame interval: what the window and straight lines between frames distort, whatever keypoints say."""
-SURELY = 3.0
-"""Standard deviations from zero that an offset is told by."""
-LEAST = 5.0
-"""By how many of its standard deviations log σ must dip."""
+INTERPOLATION_SD = 0.05
+"""Standard deviation of an offset by the window and by interpolation alone, in frame intervals."""
+SIGNIFICANT = 3.0
+"""Standard deviations from zero of an offset that is reported."""
+MIN_DIP = 5.0
+"""Standard deviations by which the minimum of log σ must be below its median over the grid."""
 
 
 class Clock(NamedTuple):
-    """By how much a camera's stamps run ahead, s, and the standard deviation of that; infinite where nothing tells."""
+    """By how much a camera's stamps run ahead, s, and the standard deviation of that.
+
+    Infinite where it is undetermined.
+    """
 
     seconds: float
     sd: float
 
     @property
-    def sure(self) -> bool:
-        """Whether it surely runs ahead, or behind."""
-        return abs(self.seconds) > SURELY * self.sd
+    def significant(self) -> bool:
+        """Whether it differs significantly from zero."""
+        return abs(self.seconds) > SIGNIFICANT * self.sd
 
 
 def find_offsets(
@@ -60,9 +64,9 @@ def find_offsets(
     reach: float = 0.25,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[str, Clock]:
-    """Offsets of all cameras but the first; what is sure of them is for `at_one_time`.
+    """Offsets of all cameras but the first; what is significant of them is for `at_one_time`.
 
-    A camera whose offset is not sure joins the others as if it had none.
+    A camera whose offset is not significant joins the others as if it had none.
 
     Args:
         tracks: camera → its tracks, pixels.
@@ -79,7 +83,7 @@ def find_offsets(
     at = tracks[first].time
     if not 0 < reach <= at[-1] - at[0]:
         raise InputError(f"a clock may be off by up to the film's length, {at[-1] - at[0]:.3g} s, got {reach:g} s")
-    at = at[:: -(-len(at) // MOST_FRAMES)]
+    at = at[:: -(-len(at) // MAX_FRAMES)]
     step = 2 * window
     grid = step * np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1)
     points = tracks[first].keypoint_names
@@ -97,18 +101,18 @@ def find_offsets(
 
         values = np.log([scale(offset) for offset in grid])
         best = int(values.argmin())
-        freedom = len(at) * len(points) * (2 * len(some) - 3) / CORRELATED
-        if (np.median(values) - values[best]) * np.sqrt(2 * freedom) < LEAST:
+        freedom = len(at) * len(points) * (2 * len(some) - 3) / CORRELATED_FRAMES
+        if (np.median(values) - values[best]) * np.sqrt(2 * freedom) < MIN_DIP:
             raise InputError(
-                f"tracks of camera {name!r} fit alike at all offsets: nothing moves enough, or the tracker errs "
-                "too much, to tell one"
+                f"tracks of camera {name!r} fit equally well at all offsets: nothing moves enough, or the tracker errs "
+                "too much"
             )
         if best in (0, len(grid) - 1):
             raise InputError(f"camera {name!r} seems to be off by more than {reach:g} s: let the films begin together")
         around = (grid[best - 1], grid[best + 1])
         least = minimize_scalar(scale, bounds=around, method="bounded", options={"xatol": step / 200})
         found[name] = Clock(float(least.x), _sd(some, seen, float(least.x), float(least.fun), window, len(points)))
-        joined.append(_smooth(tracks[name], points, at + found[name].seconds * found[name].sure, window))
+        joined.append(_smooth(tracks[name], points, at + found[name].seconds * found[name].significant, window))
         if progress:
             progress(len(found), len(others), "offsets")
     return found
@@ -121,7 +125,7 @@ Seen = Callable[[float], tuple[np.ndarray, np.ndarray]]
 def _levelled(
     some: Calibration, pixels: np.ndarray, trust: np.ndarray, points: int, scale: float | None = None
 ) -> Triangulated:
-    """Points of pixels less what each of the ``points`` keypoints is off by in each view in the middle."""
+    """Points of pixels less the median residual of each of the ``points`` keypoints in each view."""
     off = triangulate(some, pixels, trust, scale).residuals.reshape(-1, points, len(some), 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a view without a keypoint has no middle
@@ -130,20 +134,20 @@ def _levelled(
 
 
 def _sd(some: Calibration, seen: Seen, offset: float, scale: float, step: float, points: int) -> float:
-    """Standard deviation of an offset, s, at which a pixel's error has its least ``scale``; see above."""
+    """Standard deviation of an offset, s, at which the ``scale`` of a pixel's error is least; see above."""
 
     def misfits(by: float) -> np.ndarray:
         """(P,), of each keypoint."""
         pixels, trust = seen(by)
         off = _levelled(some, pixels, trust, points, scale).residuals
-        terms = trust * np.log1p(np.square(off).sum(-1) / (FREEDOM * scale**2))
-        return 0.5 * (FREEDOM + 2) * np.nansum(terms.reshape(-1, points, len(some)), axis=(0, 2))
+        terms = trust * np.log1p(np.square(off).sum(-1) / (DEGREES_OF_FREEDOM * scale**2))
+        return 0.5 * (DEGREES_OF_FREEDOM + 2) * np.nansum(terms.reshape(-1, points, len(some)), axis=(0, 2))
 
-    return float(np.hypot(spread(misfits, offset, step), FINEST * step))
+    return float(np.hypot(sandwich_sd(misfits, offset, step), INTERPOLATION_SD * step))
 
 
-def spread(misfits: Callable[[float], np.ndarray], offset: float, step: float) -> float:
-    """Sd, s, of an offset at which misfits (P,) of clusters are least together; infinite where nothing tells."""
+def sandwich_sd(misfits: Callable[[float], np.ndarray], offset: float, step: float) -> float:
+    """Sd, s, of an offset at which misfits (P,) of clusters are least together; infinite where it is undetermined."""
     before, here, after = (misfits(offset + side * step) for side in (-1, 0, 1))
     slope, bend = (after - before) / (2 * step), (after + before - 2 * here).sum() / step**2
     if len(here) < 2 or bend <= 0:
@@ -152,7 +156,7 @@ def spread(misfits: Callable[[float], np.ndarray], offset: float, step: float) -
 
 
 def _smooth(track: Recording, names: tuple[str, ...], at: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (T·P, 2) under a Gaussian window at times (T,), NaN beside a gap, and mean confidences (T·P,)."""
+    """Pixels (T·P, 2) under a Gaussian window at times (T,), NaN next to a gap, and mean confidences (T·P,)."""
     order = [track.keypoint_names.index(name) for name in names]
     near = np.exp(-0.5 * ((at[:, None] - track.time) / window) ** 2)
     pixels = track.keypoints[:, order]

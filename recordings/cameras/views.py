@@ -1,6 +1,6 @@
 """One scene in several films: the tracks of each camera, brought to the same times.
 
-Pixels as a tracker writes them, y down the picture. Films whose time stamps agree are taken row by row. An offset says
+Pixels as a tracker writes them, y down the picture. Films whose time stamps agree are taken row by row. An offset is
 by how much a camera's stamps run ahead of the first one's at the same moment, s; its tracks are then interpolated,
 linearly and never across a gap.
 """
@@ -18,10 +18,10 @@ from ..recording import Recording
 from .camera import Calibration, Camera
 from .projection import undistort
 
-AGREE = 0.05
-"""Of a frame interval: how far stamps of one moment may be apart."""
-SMALL = 20.0
-"""px; tracks that stay below are metres."""
+MAX_STAMP_DIFFERENCE = 0.05
+"""Between stamps of one moment, in frame intervals."""
+MIN_EXTENT = 20.0
+"""px. Tracks below it are taken to be in metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ class Views:
 def match_names(files: list[str], names: tuple[str, ...]) -> dict[str, Path]:
     """Which camera each file is of: CAMERA=FILE, or a file whose name has one camera's as a whole word.
 
-    arm_cam1.csv is of cam1, arm_cam12.csv is not: letters and digits go on with a word, anything else ends it.
+    arm_cam1.csv is of cam1, arm_cam12.csv is not: letters and digits continue a word, anything else ends it.
 
-    Raises InputError for a name that no camera has, a file that says nothing, or a camera with two files.
+    Raises InputError for a name that no camera has, a file without any, or a camera with two files.
     """
     found: dict[str, Path] = {}
     for given in files:
@@ -111,11 +111,11 @@ def read_tracks(
 
     Raises:
         InputError: fewer than two cameras, names that are not the same in all files, tracks in metres, outside the
-            picture or where the lens's law has no ray, or likelihoods that are none.
+            picture or where the lens's law has no ray, or likelihoods outside 0 to 1.
         OSError: a file that cannot be opened.
     """
     if len(files) < 2:
-        raise InputError(f"expected tracks of two cameras or more, got {len(files)}: one picture tells no depth")
+        raise InputError(f"expected tracks of two cameras or more, got {len(files)}: one picture shows no depth")
     tracks = {}
     for camera, path in zip(calibration.select(list(files)), files.values(), strict=True):
         recording = read_file(path, units="px", fps=fps, format=format, individual=individual)
@@ -164,7 +164,7 @@ def _check_pixels(recording: Recording, camera: Camera) -> None:
     if recording.confidence is not None and ((recording.confidence > 1) | (recording.confidence < 0)).any():
         raise InputError("the likelihoods are not between 0 and 1: expected those of a tracker")
     points = recording.keypoints[np.isfinite(recording.keypoints).all(-1)]
-    if len(points) and np.abs(points).max() < SMALL:
+    if len(points) and np.abs(points).max() < MIN_EXTENT:
         raise InputError(f"tracks of at most {np.abs(points).max():.3g} px: these look like metres; expected pixels")
     if camera.size is not None:
         outside = ((points < 0) | (points > camera.size)).any(-1).mean()
@@ -173,10 +173,11 @@ def _check_pixels(recording: Recording, camera: Camera) -> None:
                 f"{outside:.0%} of the tracks lie outside the {camera.size[0]} × {camera.size[1]} px of camera "
                 f"{camera.name!r}: is the film of another size than the calibration, or the other way up?"
             )
-    lost = ~np.isfinite(undistort(camera, points)).all(-1)
-    if lost.mean() > 0.5:
+    without_ray = ~np.isfinite(undistort(camera, points)).all(-1)
+    if without_ray.mean() > 0.5:
         raise InputError(
-            f"{lost.mean():.0%} of the tracks lie where the lens of camera {camera.name!r} has no ray: its distortion "
+            f"{without_ray.mean():.0%} of the tracks lie where the lens of camera {camera.name!r} has no ray: its "
+            "distortion "
             "folds the picture over there; calibrate with boards up to the edges, or fewer coefficients"
         )
 
@@ -193,12 +194,12 @@ def _at(track: Recording, first: Recording, name: str, offsets: Mapping[str, flo
 
 
 def _check_times(track: Recording, first: Recording, name: str) -> None:
-    fix = f"cut the films to the same frames, or say by how much its stamps run ahead: --offset {name}=SECONDS"
+    fix = f"cut the films to the same frames, or state by how much its stamps run ahead: --offset {name}=SECONDS"
     if track.num_frames != first.num_frames:
         raise InputError(f"camera {name!r} has {track.num_frames} rows, the first camera {first.num_frames}: {fix}")
     apart = track.time - first.time
     worst = apart[np.abs(apart).argmax()]
-    if abs(worst) > AGREE * first.frame_interval:
+    if abs(worst) > MAX_STAMP_DIFFERENCE * first.frame_interval:
         raise InputError(f"times of camera {name!r} are {worst:+.4g} s off those of the first camera: {fix}")
 
 
@@ -209,7 +210,7 @@ def _interpolated(
     before = after - 1
     share = (at - time[before]) / (time[after] - time[before])
     share = np.where(np.abs(share - np.rint(share)) < 1e-9, np.rint(share), share)
-    # A stamp that is met exactly needs no second neighbour.
+    # A time that equals a stamp needs no second neighbour.
     inside = (share == 0) | (share == 1) | ((share > 0) & (share < 1) & (time[after] - time[before] <= gap))
     share = np.where(inside, share, np.nan)[:, None, None]
     low = np.where(share == 1, 0.0, (1 - share) * pixels[before])

@@ -8,9 +8,9 @@ from scenes import ring, swinging
 
 from invdyn.recordings import Recording, read_keypoint_csv, read_table, write_keypoint_csv
 from invdyn.recordings.cameras.camera import Calibration
-from invdyn.recordings.cameras.camera_tables import write_calibration
 from invdyn.recordings.cameras.formats import read_calibration
 from invdyn.recordings.cameras.projection import project
+from invdyn.recordings.cameras.toml_cameras import write_calibration
 
 BODY = """
 name = "arm"

@@ -9,10 +9,10 @@ from scenes import looking, ring, swinging
 
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras.camera import Calibration
-from invdyn.recordings.cameras.camera_tables import write_calibration
 from invdyn.recordings.cameras.formats import read_calibration
 from invdyn.recordings.cameras.opencv_storage import read_storage
 from invdyn.recordings.cameras.projection import project
+from invdyn.recordings.cameras.toml_cameras import write_calibration
 
 ANIPOSE = """
 [cam_0]

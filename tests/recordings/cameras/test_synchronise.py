@@ -34,7 +34,7 @@ def test_offsets_are_found():
     given = tracks(calibration)
     steps = []
     clocks = find_offsets(given, calibration, 0.1, lambda *step: steps.append(step))
-    assert all(clock.sure for clock in clocks.values())
+    assert all(clock.significant for clock in clocks.values())
     found = {name: clock.seconds for name, clock in clocks.items()}
     # 1 px is 3 mm, 3 ms of a limb at 1 m/s; over the root of some hundred pixels, and as much again to spare, and
     # twice that because steady motion tells nothing.
@@ -62,7 +62,7 @@ def test_lasting_errors_are_no_clock():
         (clock,) = find_offsets(films, calibration, 0.05).values()
         assert clock.sd > 5e-4 * size
         assert clock.sd < 4e-3
-        assert not clock.sure
+        assert not clock.significant
     far = Recording(time, late.keypoints + 10 * wandering, NAMES)
     with pytest.raises(InputError, match="the tracker errs too much"):
         find_offsets({"cam1": first, "cam3": far}, calibration, 0.05)
