@@ -1,4 +1,4 @@
-"""Training pictures that a camera might have taken as well: turned, shifted, scaled, brighter, blurred by motion.
+"""Augmentation of training pictures: rotated, shifted, scaled, brighter, blurred by motion.
 
 Shapes: pictures (N, 3, h, w) of 0 … 255, points (N, P, 2) px. A picture's new pixel x shows the old one at
 
@@ -13,24 +13,26 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-TURN = math.radians(20)
-SCALE = 0.2  # of the logarithm
+# Half ranges of uniform distributions.
+ANGLE = math.radians(20)
+LOG_SCALE = 0.2
 SHIFT = 0.08  # of the picture's longer side
-LIGHT, CONTRAST = 20.0, 0.2
-LONGEST_BLUR = 0.02  # of the longer side
+BRIGHTNESS = 20.0  # of 255
+CONTRAST = 0.2  # of 1
+MAX_BLUR = 0.02  # of the longer side
 
 
 def augment(pictures: Tensor, points: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Pictures and points, each changed in its own way; `rng` alone decides how."""
+    """Pictures and points, each changed independently; `rng` decides how."""
     count, _, height, width = pictures.shape
     longest = max(height, width)
 
     def uniform(*shape: int) -> Tensor:
         return 2 * torch.rand(*shape, generator=rng) - 1
 
-    turn, scale = TURN * uniform(count), torch.exp(SCALE * uniform(count))
+    angle, scale = ANGLE * uniform(count), torch.exp(LOG_SCALE * uniform(count))
     shift = SHIFT * longest * uniform(count, 2)
-    cos, sin = scale * torch.cos(turn), scale * torch.sin(turn)
+    cos, sin = scale * torch.cos(angle), scale * torch.sin(angle)
     A = torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], -2)
     centre = torch.tensor([width - 1, height - 1]) / 2
     # affine_grid counts from −1 to 1 across the picture along each axis
@@ -39,19 +41,19 @@ def augment(pictures: Tensor, points: Tensor, rng: torch.Generator) -> tuple[Ten
     grid = F.affine_grid(theta, list(pictures.shape), align_corners=False)
     changed = F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
     moved = torch.linalg.solve(A, (points - centre - shift[:, None]).mT).mT + centre
-    changed = _blurred(changed, max(1, round(LONGEST_BLUR * longest)), rng)
-    light = LIGHT * uniform(count, 1, 1, 1) + LIGHT / 2 * uniform(count, 3, 1, 1)
+    changed = _blurred(changed, max(1, round(MAX_BLUR * longest)), rng)
+    light = BRIGHTNESS * uniform(count, 1, 1, 1) + BRIGHTNESS / 2 * uniform(count, 3, 1, 1)
     return ((1 + CONTRAST * uniform(count, 1, 1, 1)) * changed + light).clamp(0, 255), moved
 
 
 def _blurred(pictures: Tensor, reach: int, rng: torch.Generator) -> Tensor:
     """Half of the pictures smeared along a straight line of up to `reach` px to either side."""
     count = len(pictures)
-    along = torch.rand(count, generator=rng) * math.pi
+    direction = torch.rand(count, generator=rng) * math.pi
     length = torch.rand(count, generator=rng) * (torch.rand(count, generator=rng) < 0.5) * reach
     offset = torch.arange(-reach, reach + 1.0)
     v, u = torch.meshgrid(offset, offset, indexing="ij")
-    cos, sin = torch.cos(along)[:, None, None], torch.sin(along)[:, None, None]
+    cos, sin = torch.cos(direction)[:, None, None], torch.sin(direction)[:, None, None]
     beyond = ((u * cos + v * sin).abs() - length[:, None, None]).clamp(min=0)
     kernel = (1 - torch.sqrt(beyond**2 + (v * cos - u * sin) ** 2)).clamp(min=0)
     kernel = kernel / kernel.sum((-1, -2), keepdim=True)

@@ -5,19 +5,19 @@ the odds of a peak's mass, and whether the point was within the tolerance, fit
 
     P(within) = 1 / (1 + exp(−(a s + b)))        a ≥ 0
 
-with his smoothed targets (n₊ + 1)/(n₊ + 2) and 1/(n₋ + 2): few labels, all right, do not make anybody sure. Labels that
-are all right say nothing about the slope: a prior, a ~ N(1, ½²), then leaves it as the network has it.
+with his smoothed targets (n₊ + 1)/(n₊ + 2) and 1/(n₋ + 2): a few labels, all right, do not give certainty. Labels that
+are all right do not determine the slope: a prior, a ~ N(1, ½²), then keeps the network's own.
 """
 
 import numpy as np
 from scipy.optimize import minimize
 
-EDGE = 1e-6  # masses are kept this far from 0 and 1
+MASS_MARGIN = 1e-6  # least distance of a mass from 0 and 1
 
 
 def log_odds(mass: np.ndarray) -> np.ndarray:
     """Of masses from 0 to 1, any shape."""
-    inside = np.clip(mass, EDGE, 1 - EDGE)
+    inside = np.clip(mass, MASS_MARGIN, 1 - MASS_MARGIN)
     return np.log(inside) - np.log1p(-inside)
 
 

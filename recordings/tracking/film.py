@@ -1,9 +1,9 @@
 """A film's pictures with their own times, decoded by PyAV (extra `tracking`).
 
-Times are those that the file gives each picture, from the first one on: a telephone drops frames when it gets dark, and
-a number of frames a second would shift all that follows. A telephone that was held upright writes its pictures lying
-and says by how much to turn them; here they come as one sees them. Pixels: u right, v down, (0, 0) is the centre of the
-first; they are the stored ones, whatever shape a player gives them. A file's edit list says which of its pictures are
+Times are those that the file gives each picture, from the first one on: a telephone drops frames in the dark, and a
+constant frame rate would shift all that follow. An upright telephone stores its pictures on their side, with the angle
+by which to rotate them; here they come as one sees them. Pixels: u right, v down, (0, 0) is the centre of the
+first; they are the stored ones, without a player's aspect ratio. A file's edit list says which of its pictures are
 shown; a damaged time scale leaves few of them, or one.
 """
 
@@ -26,7 +26,7 @@ CONTAINERS = (
     *("mpegvideo", "m4v", "h264", "hevc", "mjpeg", "yuv4mpegpipe"),
 )
 """What FFmpeg may take a file for, by its names: kinds that hold their pictures. A playlist (hls, concat, dash, sdp …)
-names other files and hosts, and would have them read.
+names other files and hosts, and would make it read them.
 """
 
 
@@ -51,7 +51,7 @@ class Film:
         path: the file.
         width, height: of its pictures as one sees them, px.
         expected: number of pictures, as the file announces it; it need not be true, and may be 0.
-        aspect: width of a stored pixel over its height, as a player shows it; 1 where the file does not say.
+        aspect: width of a stored pixel over its height, as a player shows it; 1 where the file does not state it.
 
     Raises:
         InputError: a file that is no film, that this ffmpeg cannot decode, or whose times show less than half of its
@@ -70,7 +70,7 @@ class Film:
             seconds, rate = float(container.duration or 0) / 1e6, float(stream.average_rate or 0)
             self.expected = int(stream.frames or round(seconds * rate))
             self.aspect = float(stream.sample_aspect_ratio or 1)
-            if stream.frames:  # 0 where a file does not say
+            if stream.frames:  # 0 where a file does not state it
                 self._check_shown(stream.frames, sum(1 for each in container.demux(stream) if _is_shown(each)))
 
     def _check_shown(self, stored: int, shown: int) -> None:
@@ -91,14 +91,14 @@ class Film:
         Raises InputError for a film that ends in the middle of a picture, or changes its size.
         """
         av = import_av(self.path)
-        began, last, shape, number = None, -np.inf, None, 0
+        start_time, last, shape, number = None, -np.inf, None, 0
         with self._open() as container:
             try:
                 for number, frame in enumerate(container.decode(video=0)):
                     if frame.time is None:
                         raise InputError(f"{self.path}: picture {number} has no time: convert the film to mp4 first")
-                    began = frame.time if began is None else began
-                    time = float(frame.time - began)
+                    start_time = frame.time if start_time is None else start_time
+                    time = float(frame.time - start_time)
                     if time <= last:
                         raise InputError(f"{self.path}: time stands still at picture {number}: convert the film to mp4")
                     last = time
@@ -150,7 +150,7 @@ def _is_shown(packet: Any) -> bool:
 
 
 def _upright(frame: Any, size: tuple[int, int] | None) -> np.ndarray:
-    """RGB of a decoded frame, scaled, then turned as the file asks."""
+    """RGB of a decoded frame, scaled, then rotated as the file states."""
     quarters = round(frame.rotation / 90) % 4  # counter-clockwise
     if size is None:
         rgb = frame.to_ndarray(format="rgb24")

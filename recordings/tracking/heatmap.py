@@ -1,4 +1,4 @@
-"""A tracker that a user's own labels have trained: U-Net, its normalisation, and what its confidence means.
+"""A tracker trained on a user's own labels: U-Net, its normalisation, and the calibration of its confidence.
 
 The file is safetensors: arrays and one text, from which nothing can be run.
 """
@@ -19,7 +19,7 @@ from .confidence import platt
 from .unet import UNet, activations, peaks
 
 SCHEMA = 1
-LARGEST = 4096  # px of a side of the pictures
+MAX_SIDE = 4096  # px of the pictures
 
 
 class HeatmapTracker:
@@ -31,7 +31,7 @@ class HeatmapTracker:
         picture_size: (height, width) that it was trained in.
         mean, deviation: (3,) of the training pictures' colours, from 0 to 255.
         calibration: a and b of `confidence.platt`.
-        tolerance: px of the film, within which confidence says that a point lies; for people to read.
+        tolerance: px of the film, within which a point lies with the confidence's probability; for people to read.
         widths: channels of the network.
     """
 
@@ -86,7 +86,7 @@ class HeatmapTracker:
         """Read what `save` wrote.
 
         Raises:
-            InputError: a file that is none, or safetensors is missing.
+            InputError: another file, or safetensors is missing.
             OSError: a file that cannot be opened.
         """
         tensors, text = read_safetensors(path)
@@ -99,13 +99,13 @@ class HeatmapTracker:
                 raise ValueError("names of keypoints are texts, each once")
             if min(widths) < 1:
                 raise ValueError(f"{min(widths)} channels")
-            with torch.device("meta"):  # no memory but that of the file's own tensors, whatever widths it claims
+            with torch.device("meta"):  # the file's own tensors alone take memory
                 network = UNet(len(names), widths)
             network.load_state_dict(tensors, assign=True)
             network.float()
             (*mean,), (*deviation,), (a, b) = (map(float, described[k]) for k in ("mean", "deviation", "calibration"))
             height, width = map(int, described["picture_size"])
-            if len(mean) != 3 or len(deviation) != 3 or not 1 <= min(height, width) <= max(height, width) <= LARGEST:
+            if len(mean) != 3 or len(deviation) != 3 or not 1 <= min(height, width) <= max(height, width) <= MAX_SIDE:
                 raise ValueError(f"pictures of {height} × {width} px in {len(mean)} colours")
             tolerance = float(described["tolerance"])
             if not np.isfinite([*mean, *deviation, a, b, tolerance]).all() or min(deviation) <= 0 or a < 0:
@@ -130,7 +130,7 @@ def check_pictures(size: Sequence[int], widths: Sequence[int], keypoints: int) -
 
 
 def normalised(pictures: torch.Tensor, mean: Sequence[float], deviation: Sequence[float]) -> torch.Tensor:
-    """(N, H, W, 3) of 0 … 255 to (N, 3, H, W) about zero, in the memory format that convolutions like."""
+    """(N, H, W, 3) of 0 … 255 to (N, 3, H, W) about zero, channels last in memory as convolutions prefer."""
     scaled = (pictures.float() - torch.tensor(mean)) / torch.tensor(deviation)
     return scaled.permute(0, 3, 1, 2).contiguous(memory_format=torch.channels_last)
 
@@ -146,7 +146,7 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, torch.Tensor], str]:
             return safetensors.load_file(path), (file.metadata() or {})["invdyn"]
     except OSError:
         raise
-    except Exception as error:  # safetensors has its own class for what it cannot read
+    except Exception as error:  # safetensors raises a class of its own
         raise InputError(f"{path}: not a network of `invdyn train` ({first_line(error)})") from None
 
 

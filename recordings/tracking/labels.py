@@ -5,7 +5,7 @@ Our own table has one row a picture, an empty cell for a joint that cannot be se
     frame,<keypoint>_x,<keypoint>_y, …
 
 DeepLabCut's labels (`CollectedData_….csv`: the number in an image's name is the picture's) and tracks, SLEAP's analysis
-csv and whatever else `formats` reads as pixels are taken, too.
+csv and all that `formats` reads as pixels are read as well.
 """
 
 import re
@@ -21,8 +21,8 @@ from ..formats import FORMATS, recognise
 from ..recording import Recording
 from ..tables import Row, read_numbers, read_rows, read_table, write_table
 
-LARGEST = 2**53
-"""Under it a float64 tells every whole number from the next."""
+MAX_NUMBER = 2**53
+"""Below it a float64 represents every whole number exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Labels:
         points: (N, P, 2) px, NaN = not labelled.
         names: of the P keypoints.
 
-    Raises InputError for a number that comes twice, is no whole one or negative, and where nothing is labelled.
+    Raises InputError for a number that comes twice, is not whole or is negative, and where nothing is labelled.
     """
 
     frames: np.ndarray
@@ -43,7 +43,7 @@ class Labels:
 
     def __post_init__(self) -> None:
         frames = np.asarray(self.frames, dtype=float)
-        if strange := [f for f in frames if not (0 <= f < LARGEST and f == round(f))]:
+        if strange := [f for f in frames if not (0 <= f < MAX_NUMBER and f == round(f))]:
             raise InputError(f"a picture's number must be a whole one from 0 on, got {strange[0]:g}")
         order = np.argsort(frames, kind="stable")
         object.__setattr__(self, "frames", frames[order].astype(np.int64))
@@ -94,7 +94,7 @@ def read_labels(path: str | Path, individual: str | None = None) -> Labels:
     """Read a file of labels; `individual` chooses in files of several animals.
 
     Raises:
-        InputError: a file that is none of those above, or in which nothing is labelled.
+        InputError: a file of none of those kinds, or in which nothing is labelled.
         OSError: a file that cannot be opened.
     """
     path = Path(path)
@@ -136,7 +136,7 @@ def _ours(path: Path) -> Labels:
     if strange := sorted(set(columns) ^ expected):
         raise InputError(f"column {strange[0]!r}: expected 'frame', then <keypoint>_x and <keypoint>_y of each")
     if not names:
-        raise InputError("no keypoint: expected columns <keypoint>_x and <keypoint>_y beside 'frame'")
+        raise InputError("no keypoint: expected columns <keypoint>_x and <keypoint>_y in addition to 'frame'")
     points = np.stack([np.stack([columns[f"{name}_{axis}"] for axis in "xy"], -1) for name in names], 1)
     return Labels(columns["frame"], points, names)
 

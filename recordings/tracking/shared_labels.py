@@ -57,7 +57,7 @@ class SharedLabels:
         self.points = np.full((len(self.numbers), len(self.names), 2), np.nan)
         self.versions = np.zeros((len(self.numbers), len(self.names)), int)
         self.revision = 0
-        self._others: Labels | None = None  # of pictures that are not ours to label
+        self._others: Labels | None = None  # of pictures outside `numbers`
         self._lock = threading.Lock()
         self._read()
 
@@ -111,14 +111,14 @@ class SharedLabels:
         self.points[place], self.versions[place] = np.nan if point is None else point, self.revision
 
     def _read(self) -> None:
-        """Take over what the file says; one that is gone says nothing, and is written again."""
+        """Take over the file's content; a file that was deleted changes nothing, and is written again."""
         if not self.path.exists():
             return
         labels = read_labels(self.path)
         if set(labels.names) != set(self.names):
             with about(self.path):
                 raise InputError(
-                    f"labels of {', '.join(labels.names)} are there: go on with these, or name another file"
+                    f"labels of {', '.join(labels.names)} are there: continue with these, or name another file"
                 )
         labels = labels.only(self.names)
         row_of = {int(frame): row for frame, row in zip(labels.frames, labels.points, strict=True)}
@@ -133,7 +133,7 @@ class SharedLabels:
         labels = self.labels
         if labels.seen.any():
             write_labels(labels, self.path)
-        else:  # a table without a label is none
+        else:  # a table without a label is not allowed
             self.path.unlink(missing_ok=True)
 
 

@@ -1,7 +1,7 @@
-"""What a tracker is: pictures in their order in, keypoints with confidence out; and how a film is tracked with one.
+"""The protocol of trackers, from pictures in order to keypoints with confidence; and tracking a film with one.
 
-A film is tracked in parts of `PART` pictures. Each part that is done can be kept, with what the tracker remembers, so
-that a killed run goes on with the same result.
+A film is tracked in parts of `PART` pictures. Each finished part can be saved, with the tracker's memory, so that a
+run that was killed continues with the same result.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from ..tables import write_table
 from .film import Film
 
 PART = 64
-"""Pictures after which a run is kept."""
+"""Pictures after which a run is saved."""
 
 Progress = Callable[[int, int, str], None]
 
@@ -26,7 +26,7 @@ class Tracker(Protocol):
     """Finds keypoints in pictures that come one after the other.
 
     Attributes:
-        memory: a vector of any length, what it carries from one picture to the next; setting it goes on from there.
+        memory: a vector of any length, the state from one picture to the next; setting it continues from there.
     """
 
     memory: np.ndarray
@@ -42,18 +42,18 @@ class Tracker(Protocol):
     def track(self, picture: np.ndarray) -> np.ndarray:
         """From RGB (H, W, 3) uint8 to (P, 3): u, v in px of that picture, and confidence from 0 to 1.
 
-        NaN where there is nothing to be found. Raises InputError where the picture does not say what was asked for.
+        NaN where nothing is found. Raises InputError where the picture is ambiguous.
         """
 
 
 class Keeper(Protocol):
-    """Where a long run is kept; `inference.execution.checkpoint.Checkpoint` is one."""
+    """Storage of a long run; `inference.execution.checkpoint.Checkpoint` is one."""
 
     def save(self, tensors: Mapping[str, Tensor], *, step: int = 0, **state: Any) -> None:
-        """Replace what is kept."""
+        """Replace what is stored."""
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """What was saved last, with its `step`; None before the first."""
+        """The last saved state, with its `step`; None before the first."""
 
 
 def track_film(

@@ -2,8 +2,9 @@
 
     loss = − mean over labelled keypoints of Σ_cells target · log softmax(map)
 
-Every eighth label is held out: the errors there are what is reported, and what confidence is calibrated on. Step n
-draws its pictures from a generator seeded by (seed, n) alone: a run that was killed goes on to the same network.
+Every eighth label is held-out data: errors there are reported, and confidence is calibrated on them. Step n draws
+its
+pictures from a generator seeded by (seed, n) alone: a run that was killed continues to the same network.
 """
 
 from collections.abc import Sequence
@@ -17,20 +18,20 @@ from ..errors import InputError, about
 from .augment import augment
 from .confidence import fit_platt, platt
 from .film import Film, read_pictures
-from .heatmap import LARGEST, HeatmapTracker, check_pictures, normalised
+from .heatmap import MAX_SIDE, HeatmapTracker, check_pictures, normalised
 from .labels import Labels
 from .tracker import Keeper, Progress
 from .unet import UNet, peaks, targets
 
-BATCH = 8
-RATE, DECAY, WARM = 3e-3, 1e-4, 50
+BATCH = 8  # pictures of a step
+LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4  # of AdamW
+WARM_UP = 50  # steps
 HELD_OUT = 8  # one label of so many
-FEWEST = 4  # labels
-SPREAD = 0.01  # of a target's bell, of the picture's longer side
-TOLERANCE = 0.02  # within which a point is right, of the film's longer side
-KEEP_EVERY = 20  # steps
-EACH = 16  # pictures at once, in evaluation
-WIDTHS = (16, 24, 32, 48, 64)
+MIN_LABELS = 4
+TARGET_SD = 0.01  # of a target's Gaussian, in the picture's longer side; at least 1.5 px
+TOLERANCE = 0.02  # distance within which a point is right, in the film's longer side
+SAVE_EVERY = 20  # steps
+EVALUATED_AT_ONCE = 16  # pictures
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class Trained:
-    """A tracker, and what it made of n labelled keypoints that were held out; n is 0 where labels are too few.
+    """A tracker, and its errors on n labelled keypoints of held-out data; n is 0 where labels are too few.
 
     `errors` (n,) are in px of the film, `confidence` (n,) is a probability.
     """
@@ -64,25 +65,25 @@ def examples(films: Sequence[Film], labels: Sequence[Labels], size: int = 288) -
 
     Raises InputError for labels that are not all of the same keypoints, not of pictures that are there, or too few.
     """
-    if not 16 <= size <= LARGEST:
-        raise InputError(f"a network's pictures are from 16 to {LARGEST} px, got {size}")
+    if not 16 <= size <= MAX_SIDE:
+        raise InputError(f"a network's pictures are from 16 to {MAX_SIDE} px, got {size}")
     first = films[0]
     longest = max(first.width, first.height)
     shape = max(2, round(size * first.height / longest)), max(2, round(size * first.width / longest))
     names = labels[0].names
     pictures: list[np.ndarray] = []
     points, factors = [], []
-    for film, told in zip(films, labels, strict=True):
-        told = told.only(names)
-        told = told.chosen(np.flatnonzero(told.seen.any(-1)))
+    for film, own in zip(films, labels, strict=True):
+        own = own.only(names)
+        own = own.chosen(np.flatnonzero(own.seen.any(-1)))
         factor = np.array([film.width / shape[1], film.height / shape[0]])
         with about(film.path):
-            told.check_within(film.width, film.height)
-        pictures += read_pictures(film, told.frames.tolist(), shape)
-        points.append((told.points + 0.5) / factor - 0.5)
-        factors.append(np.broadcast_to(factor, (len(told), 2)))
-    if len(pictures) < FEWEST:
-        raise InputError(f"{len(pictures)} labelled pictures are too few: expected {FEWEST}, and better 100")
+            own.check_within(film.width, film.height)
+        pictures += read_pictures(film, own.frames.tolist(), shape)
+        points.append((own.points + 0.5) / factor - 0.5)
+        factors.append(np.broadcast_to(factor, (len(own), 2)))
+    if len(pictures) < MIN_LABELS:
+        raise InputError(f"{len(pictures)} labelled pictures are too few: expected {MIN_LABELS}, and better 100")
     together = np.concatenate(points)
     if (never := ~np.isfinite(together).all(-1).any(0)).any():
         raise InputError(f"keypoint {names[int(never.argmax())]!r} is not labelled in any picture")
@@ -94,11 +95,11 @@ def train(
     *,
     steps: int = 500,
     seed: int = 0,
-    widths: Sequence[int] = WIDTHS,
+    widths: Sequence[int] = (16, 24, 32, 48, 64),
     progress: Progress | None = None,
     keeper: Keeper | None = None,
 ) -> Trained:
-    """Train a network; the same arguments give the same network, however often the run was killed and went on.
+    """Train a network; the same arguments give the same network, even if the run was killed and continued.
 
     Args:
         given: labelled pictures.
@@ -106,14 +107,14 @@ def train(
         seed: of all that is random.
         widths: channels of the network, from the finest level to the coarsest.
         progress: called as progress(done, total, what).
-        keeper: where the run is kept.
+        keeper: where the run is saved.
     """
 
     def generator(step: int) -> torch.Generator:
         return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))
 
     check_pictures(given.pictures.shape[1:3], widths, len(given.names))
-    held, own = _split(len(given.pictures), generator(0))
+    held_out, own = _split(len(given.pictures), generator(0))
     pictures = torch.from_numpy(given.pictures)
     points = torch.from_numpy(given.points).float()
     mean = pictures[own].float().mean((0, 1, 2))
@@ -121,34 +122,36 @@ def train(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(np.random.SeedSequence([seed, 1 << 31]).generate_state(1)[0]))
         network = UNet(len(given.names), widths).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     begin = 0
     if keeper is not None and (kept := keeper.load()) is not None:
         _restore(network, optimizer, kept[0])
         begin = kept[1]["step"]
-    spread = max(SPREAD * max(pictures.shape[1:3]), 1.5)
+    target_sd = max(TARGET_SD * max(pictures.shape[1:3]), 1.5)
     network.train()
     for step in range(begin, steps):
         rng = generator(step + 1)
         which = own[torch.randint(len(own), (BATCH,), generator=rng)]
         batch, places = augment(pictures[which].permute(0, 3, 1, 2).float(), points[which], rng)
         maps = network(normalised(batch.permute(0, 2, 3, 1), mean.tolist(), deviation.tolist()))
-        target = targets(places, (maps.shape[-2], maps.shape[-1]), spread)
+        target = targets(places, (maps.shape[-2], maps.shape[-1]), target_sd)
         seen = target.flatten(2).sum(-1)
         losses = -(target * maps.flatten(2).log_softmax(-1).reshape(maps.shape)).sum((-1, -2))
         loss = losses.sum() / seen.sum().clamp(min=1.0)
         for group in optimizer.param_groups:
-            group["lr"] = RATE * min(1.0, (step + 1) / WARM) * 0.5 * (1.02 + 0.98 * np.cos(np.pi * step / steps))
+            group["lr"] = (
+                LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.02 + 0.98 * np.cos(np.pi * step / steps))
+            )
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        if keeper is not None and (step + 1) % KEEP_EVERY == 0:
+        if keeper is not None and (step + 1) % SAVE_EVERY == 0:
             keeper.save(_kept(network, optimizer), step=step + 1)
         if progress is not None:
             progress(step + 1, steps, f"train; loss {loss.item():.2f}")
     network.eval()
     colours = mean.tolist(), deviation.tolist()
-    errors, mass = _held_out(network, given, held, colours)
+    errors, mass = _held_out(network, given, held_out, colours)
     calibration = fit_platt(mass, errors < given.tolerance)
     size = (given.pictures.shape[1], given.pictures.shape[2])
     tracker = HeatmapTracker(network, given.names, size, *colours, calibration, given.tolerance, widths)
@@ -156,18 +159,18 @@ def train(
 
 
 def _split(count: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Indices that are held out, and the others."""
+    """Indices of held-out data, and the others."""
     order = torch.randperm(count, generator=rng)
     return order[: count // HELD_OUT].sort().values, order[count // HELD_OUT :].sort().values
 
 
 @torch.no_grad()
 def _held_out(
-    network: UNet, given: Examples, held: Tensor, colours: tuple[list[float], list[float]]
+    network: UNet, given: Examples, held_out: Tensor, colours: tuple[list[float], list[float]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n,) px of the film, and masses (n,), of all keypoints that are labelled there."""
     errors, masses = [np.empty(0)], [np.empty(0)]
-    for part in held.split(EACH):
+    for part in held_out.split(EVALUATED_AT_ONCE):
         places, mass = peaks(network(normalised(torch.from_numpy(given.pictures[part.numpy()]), *colours)))
         truth, factor = given.points[part.numpy()], given.factor[part.numpy(), None]
         error = np.linalg.norm((places.double().numpy() - truth) * factor, axis=-1)

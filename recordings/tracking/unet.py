@@ -1,11 +1,11 @@
 """A small U-Net that turns a picture into one heat map a keypoint, and the subpixel place of a map's peak.
 
 Ronneberger, Fischer, Brox (MICCAI 2015): a ladder of halved resolutions down, and up again with skips across. Maps have
-half the picture's resolution. Each is the logarithm, up to a constant, of where the keypoint may be:
+half the picture's resolution. Each is the logarithm, up to a constant, of the keypoint's distribution over places:
 
     p(cell) = softmax(map)          over all cells of a map
 
-The place is that of the likeliest cell, refined by the mean of p over the cells around it (soft-argmax), which is a
+The place is that of the most probable cell, refined by the mean of p over the cells around it (soft-argmax), which is a
 fraction of a cell; its mass is p of those cells together.
 
 Shapes: pictures (N, 3, h, w) normalised; maps (N, P, ⌈h/2⌉, ⌈w/2⌉); cell (r, c) has its centre at v = 2r + ½,
@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 STRIDE = 2
-AROUND = 4  # cells on each side of a peak
+REFINE_CELLS = 4  # on each side of a peak
 
 
 class UNet(nn.Module):
@@ -59,14 +59,14 @@ def activations(size: Sequence[int], widths: Sequence[int], maps: int) -> int:
     return round(4 * size[0] * size[1] * cells)
 
 
-def targets(points: Tensor, shape: tuple[int, int], spread: float) -> Tensor:
+def targets(points: Tensor, shape: tuple[int, int], sd: float) -> Tensor:
     """(N, P, R, C) normalised Gaussian maps of points (N, P, 2) px; zero where a point is missing or outside.
 
-    `shape` is (R, C), `spread` the standard deviation, px.
+    `shape` is (R, C), `sd` the standard deviation, px.
     """
     v, u = (STRIDE * torch.arange(n, dtype=points.dtype) + 0.5 for n in shape)
     squares = [(axis - points[..., i, None]) ** 2 for i, axis in ((0, u), (1, v))]
-    bell = torch.exp(-(squares[0][..., None, :] + squares[1][..., :, None]) / (2 * spread**2)).nan_to_num(0.0)
+    bell = torch.exp(-(squares[0][..., None, :] + squares[1][..., :, None]) / (2 * sd**2)).nan_to_num(0.0)
     total = bell.sum((-1, -2), keepdim=True)
     return torch.where(total > 0.5, bell / total.clamp(min=1e-12), 0.0)
 
@@ -77,7 +77,7 @@ def peaks(maps: Tensor) -> tuple[Tensor, Tensor]:
     probability = maps.flatten(2).softmax(-1)
     best = probability.argmax(-1)
     r, c = best // columns, best % columns
-    steps = torch.arange(-AROUND, AROUND + 1)
+    steps = torch.arange(-REFINE_CELLS, REFINE_CELLS + 1)
     near_r = (r[..., None] + steps)[..., :, None]
     near_c = (c[..., None] + steps)[..., None, :]
     inside = (near_r >= 0) & (near_r < rows) & (near_c >= 0) & (near_c < columns)
