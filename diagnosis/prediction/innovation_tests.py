@@ -126,9 +126,9 @@ def in_concert(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[floa
     Where the cause has rows swapped or mistimed, or knows of no stray detections, there is nothing to ask: 0.
     """
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
-    if not isinstance(rows, MistakenRows) or not rows.strays or rows.swaps or rows.shift:
+    if not isinstance(rows, MistakenRows) or not rows.outliers or rows.swaps or rows.shift:
         return 0.0, 1.0
-    stray = rows.stray(problem.observations).numpy()
+    stray = rows.outlier_probability(problem.observations).numpy()
     together = by_chance = most = 0.0
     for one, other in combinations(stray.T, 2):
         seen = ~np.isnan(one + other)

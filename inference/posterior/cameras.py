@@ -10,7 +10,7 @@ import torch
 
 from invdyn.models import PinholeCameras, Pixels
 from invdyn.models.observation.pinhole import project
-from invdyn.models.observation.pixels import LEAST, MOST_NOISE
+from invdyn.models.observation.pixels import MAX_NOISE, MIN_NOISE
 from invdyn.recordings.cameras import Calibration, Filmed
 from invdyn.recordings.cameras.projection import Lens
 
@@ -80,4 +80,4 @@ def started(pixels: Pixels, rows: np.ndarray, points: np.ndarray) -> dict[str, A
     off = rows.reshape(len(rows), *pixels.shape) - expected.numpy()
     misfit = 1.4826 * np.nanmedian(np.where(np.isfinite(off), np.abs(off), np.nan), axis=0).max(-1)
     misfit = np.where(np.isfinite(misfit), misfit, np.nanmedian(misfit))
-    return {"emission.bias_scale": np.clip(misfit, 10 * LEAST, MOST_NOISE)}
+    return {"emission.bias_scale": np.clip(misfit, 10 * MIN_NOISE, MAX_NOISE)}

@@ -13,7 +13,7 @@ value at which it is absent. It overrides those hooks that it changes; the other
     points     where the camera sees the sites, m                    View → (..., S, d)
     angles     what the encoders show, rad                          View → (..., K)
     noise      the keypoints' standard deviations, m                View, (..., S, d) → (..., S, d)
-    mistake    what the tracker gets wrong now and then             → Stray, Swap, Shift or None
+    mistake    what the tracker gets wrong now and then             → Outlier, Swap, Shift or None
 
 An effect with a coordinate of its own that nobody sees is a :class:`.hidden.HiddenHinge`.
 
@@ -40,7 +40,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.parameter import Parameter, Values
 from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 from invdyn.models.observation.view import View
 
 PREFIX = "effect."
@@ -322,7 +322,7 @@ class Effect(ABC):
         """Standard deviation of each tip's coordinates, (..., S, d) m."""
         return sd
 
-    def mistake(self, p: Values, view: View) -> Stray | Swap | Shift | None:
+    def mistake(self, p: Values, view: View) -> Outlier | Swap | Shift | None:
         """What the tracker gets wrong now and then; see :mod:`invdyn.models.observation.tracker_errors`."""
         return None
 

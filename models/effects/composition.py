@@ -16,7 +16,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 from invdyn.models.observation.view import View
 
 PARTS = 8
@@ -212,7 +212,7 @@ class Composition:
             points = follower.shown(points, own[follower.key])
         return points
 
-    def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Stray | Swap | Shift]:
+    def mistakes(self, parameters: Mapping[str, Tensor], view: View) -> list[Outlier | Swap | Shift]:
         """What the tracker gets wrong now and then."""
         found = [effect.mistake(p, view) for effect, p in self._each(parameters)]
         return [mistake for mistake in found if mistake is not None]

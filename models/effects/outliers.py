@@ -6,7 +6,7 @@ from pyro.distributions import Beta, LogNormal
 
 from invdyn.models.effects.base import Effect, Parameter, Values
 from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.tracker_errors import Stray
+from invdyn.models.observation.tracker_errors import Outlier
 from invdyn.models.observation.view import View
 
 
@@ -31,6 +31,6 @@ class Outliers(Effect):
             ),
         )
 
-    def mistake(self, p: Values, view: View) -> Stray:
+    def mistake(self, p: Values, view: View) -> Outlier:
         """(1 − ρ) N(h, σ²) + ρ N(h, σ² + s²)."""
-        return Stray(p["rate"], p["scale"].unsqueeze(-1))
+        return Outlier(p["rate"], p["scale"].unsqueeze(-1))

@@ -1,10 +1,10 @@
-"""A tracker's confidence c is a covariate of its noise, and no probability. Noise grows as
+"""A tracker's confidence c as a covariate of its noise, not as a probability. Noise grows as
 
     s(c) = exp(γ (1 − rank(c)) + δ (c⁺ − c) / (c⁺ − c⁻)),   γ, δ ≥ 0
 
-rank(c) in (0, 1] is c's place among that keypoint's own confidences; most differences between good rows follow it. c⁻
-and c⁺ are the least and the greatest of them. By δ, a few rows whose c lies far below all others can be as good as
-lost (e^δ), while the rows just above them in order stay sure. c may be of any scale.
+rank(c) in (0, 1] is c's rank among that keypoint's own confidences, over their number; most differences between good
+rows follow it. c⁻ and c⁺ are the least and the greatest of them. δ can make a few rows with c far below all others
+nearly uninformative (noise times e^δ), while rows just above them in rank keep their noise. c may be of any scale.
 
 Shapes: T rows, P keypoints.
 """
@@ -17,18 +17,18 @@ import torch
 from scipy.stats import rankdata
 from torch import Tensor
 
-USUAL_SLOPE, USUAL_DROP = 0.1, 0.02
-"""γ and δ where nothing is known of them: above 0, where a search for them can begin."""
+DEFAULT_SLOPE, DEFAULT_DROP = 0.1, 0.02
+"""Starting values of γ and δ: small, but above 0, so that their gradients are not zero in log scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
-    """What a tracker says of its detections.
+    """A tracker's confidence in its detections.
 
     Attributes:
         doubt: (T, P) 1 − rank(c).
-        drop: (T, P) (c⁺ − c) / (c⁺ − c⁻), 1 where c is not said.
-        itself: (T, P) 1 − c, 0 where it is not said.
+        drop: (T, P) (c⁺ − c) / (c⁺ − c⁻), 1 where c is missing.
+        itself: (T, P) 1 − c, 0 where it is missing.
     """
 
     doubt: Tensor
@@ -57,6 +57,6 @@ def _drop(confidence: np.ndarray) -> np.ndarray:
     known = np.isfinite(confidence)
     least = np.where(known, confidence, np.inf).min(axis=0)
     greatest = np.where(known, confidence, -np.inf).max(axis=0)
-    apart = greatest > least  # False in a column of one value, or of none
-    fall = np.where(known & apart, greatest - confidence, 0.0) / np.where(apart, greatest - least, 1.0)
+    varies = greatest > least  # False in a column of one value, or of none
+    fall = np.where(known & varies, greatest - confidence, 0.0) / np.where(varies, greatest - least, 1.0)
     return np.where(known, fall, 1.0)

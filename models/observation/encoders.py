@@ -15,8 +15,8 @@ from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.observation.sensor import NoisySensor
 from invdyn.models.observation.view import View
 
-USUAL, LEAST, MOST_NOISE = 1e-3, 1e-5, 0.1
-"""rad: noise where nothing is known of it, and between which jitter is believed to show it."""
+DEFAULT_NOISE, MIN_NOISE, MAX_NOISE = 1e-3, 1e-5, 0.1
+"""rad: the starting value, and bounds of the noise estimated from a recording's jitter."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class Encoders(NoisySensor):
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """A milliradian."""
-        return {"emission.angle_scale": torch.full(self.shape, USUAL).double()}
+        return {"emission.angle_scale": torch.full(self.shape, DEFAULT_NOISE).double()}
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
         """Their jitter."""
-        return {"emission.angle_scale": np.clip(jitter, LEAST, MOST_NOISE)}
+        return {"emission.angle_scale": np.clip(jitter, MIN_NOISE, MAX_NOISE)}
 
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """The angles as encoders show them."""

@@ -3,7 +3,7 @@
     y_p ~ F(r_p(θ), σ_p s(c)),     σ_p = "emission.keypoint_scale" (P,), length unit
 
 with s(c) of the tracker's confidence (:mod:`.confidence`), γ = "emission.confidence_slope" and
-δ = "emission.confidence_drop" (P,). Coordinates stand keypoint by keypoint.
+δ = "emission.confidence_drop" (P,). Coordinates are ordered keypoint by keypoint.
 
 Shapes: P keypoints, S sites, d dimensions, those of the body.
 """
@@ -17,17 +17,17 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.observation.confidence import USUAL_DROP, USUAL_SLOPE, Confidence
+from invdyn.models.observation.confidence import DEFAULT_DROP, DEFAULT_SLOPE, Confidence
 from invdyn.models.observation.mixture import MistakenRows
 from invdyn.models.observation.sensor import NoisySensor
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 from invdyn.models.observation.view import View
 
-LEAST, MOST_NOISE = 1e-5, 0.3
-"""Of the reach: noise that a recording's jitter is believed to show."""
+MIN_NOISE, MAX_NOISE = 1e-5, 0.3
+"""Of the reach: bounds of the noise estimated from a recording's jitter."""
 
 
-S = TypeVar("S", Stray, Shift)
+S = TypeVar("S", Outlier, Shift)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -87,18 +87,18 @@ class Keypoints(NoisySensor):
         """Noise of a fiftieth of the reach."""
         parameters = {"emission.keypoint_scale": torch.full((len(self.sites),), 0.02 * reach).double()}
         if self.confidence is not None:
-            for name, usual in (("slope", USUAL_SLOPE), ("drop", USUAL_DROP)):
-                parameters[f"emission.confidence_{name}"] = torch.full((len(self.sites),), usual).double()
+            for name, start in (("slope", DEFAULT_SLOPE), ("drop", DEFAULT_DROP)):
+                parameters[f"emission.confidence_{name}"] = torch.full((len(self.sites),), start).double()
         return parameters
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
         """The larger jitter of a keypoint's coordinates."""
         return {
-            "emission.keypoint_scale": np.clip(jitter.reshape(self.shape).max(1), LEAST * reach, MOST_NOISE * reach)
+            "emission.keypoint_scale": np.clip(jitter.reshape(self.shape).max(1), MIN_NOISE * reach, MAX_NOISE * reach)
         }
 
     def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """The sites as they are seen, and their noise, as effects change it."""
+        """The sites as seen, and their noise, as effects change it."""
         scale = parameters["emission.keypoint_scale"]
         if self.confidence is not None:
             slope, drop = (parameters[f"emission.confidence_{name}"] for name in ("slope", "drop"))
@@ -117,7 +117,7 @@ class Keypoints(NoisySensor):
         return torch.stack([values[..., site, :] for site in self.sites], -2)
 
     def doubted(self, t: int | Tensor, like: Tensor, count: int) -> Tensor | None:
-        """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or not said.
+        """1 − c at row ``t``, (..., S) for ``count`` sites, of the type of ``like``; 0 where untracked or missing.
 
         None where no confidence is known.
         """
@@ -129,16 +129,16 @@ class Keypoints(NoisySensor):
             every[site] = own
         return torch.stack(every, -1)
 
-    def mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Stray | Swap | Shift]) -> MistakenRows:
-        """Rows (..., O) that begin with the keypoints, whose tracker errs: mistakes with sites for their numbers."""
-        strays = [self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Stray)]
+    def mistaken(self, loc: Tensor, scale: Tensor, mistakes: Sequence[Outlier | Swap | Shift]) -> MistakenRows:
+        """Rows (..., O), keypoints first, of a tracker with mistakes, which name keypoints by site."""
+        outliers = [self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Outlier)]
         swaps = [
             replace(mistake, one=self.sites.index(mistake.one), other=self.sites.index(mistake.other))
             for mistake in mistakes
             if isinstance(mistake, Swap)
         ]
         shift = next((self._of_keypoints(mistake) for mistake in mistakes if isinstance(mistake, Shift)), None)
-        return MistakenRows(loc, scale, self.shape, strays, swaps, shift)
+        return MistakenRows(loc, scale, self.shape, outliers, swaps, shift)
 
     def _of_keypoints(self, mistake: S) -> S:
         """The tracked ones of all sites' widths."""

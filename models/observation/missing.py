@@ -22,7 +22,7 @@ def observe(name: str, emission: Distribution, observation: Tensor) -> None:
         pyro.sample(name, emission, obs=observation)
     elif bool(seen.any()):
         if isinstance(emission, RowDistribution):
-            pyro.sample(name, emission, obs=observation)  # which leaves out what is missing by itself
+            pyro.sample(name, emission, obs=observation)  # which leaves out missing entries itself
         elif isinstance(emission, Independent):
             pyro.sample(name, emission.base_dist.mask(seen).to_event(1), obs=filled(emission, observation, seen))
         else:
@@ -33,8 +33,8 @@ def observed_log_prob(emission: Distribution, observation: Tensor, seen: Tensor 
     """Log p(y | x) over the entries that were seen; shape is the emission's batch shape.
 
     ``observation`` (..., O) broadcasts against the emission. A correlated emission takes one
-    row (O,), or rows (T, O) against a batch shape that ends in T. Whoever knows which entries were ``seen``, of the
-    observation's shape, says so: then an independent emission asks the device for nothing.
+    row (O,), or rows (T, O) against a batch shape that ends in T. ``seen``, of the observation's shape, are the entries
+    that are not missing; with it an independent emission needs no synchronisation with the device.
     """
     if seen is None:
         seen = ~torch.isnan(observation)
@@ -76,7 +76,7 @@ def _value_inside(base: Distribution, like: Tensor) -> Tensor:
         return zero + getattr(support, "lower_bound", 0)
     try:
         return torch.distributions.transform_to(support)(zero).detach()
-    except NotImplementedError:  # a support of no standard kind: of a mixture, for example
+    except NotImplementedError:  # a support of no standard kind, as of a mixture
         return base.mean.detach()
 
 
@@ -101,7 +101,7 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
     Near the emission's mean h the log-density is −½|W (y − h)|² + c. For a Gaussian this is
     exact. For Student-t, W is that of iteratively reweighted least squares,
     w = (ν + 1)/(ν + r²)/σ², which has the same value and gradient in h; so have the rows of a
-    mixture, with what :func:`explained` makes of y. Missing entries get zero rows. Returns W as
+    mixture, with y as :func:`explained` returns it. Missing entries get zero rows. Returns W as
     (..., O) for independent emissions and mixtures that shift no row, (..., O, O) otherwise, and c with shape (...).
 
     Raises TypeError for other families.
@@ -128,9 +128,9 @@ def gaussian_rows(emission: Distribution, observation: Tensor) -> tuple[Tensor, 
 
 
 def explained(emission: Distribution, observation: Tensor) -> Tensor:
-    """The rows (..., O) that :func:`gaussian_rows` compares with the emission's mean: those observed, but for swaps.
+    """The rows (..., O) that :func:`gaussian_rows` compares with the emission's mean: the observed ones but for swaps.
 
-    A detection that another keypoint explains better stands, in that share, where it belongs.
+    There a detection contributes to each keypoint in the share in which that one explains it.
     """
     return emission.gaussian_rows(observation)[1] if isinstance(emission, RowDistribution) else observation
 

@@ -1,20 +1,20 @@
-"""Keypoints of a tracker that errs now and then: a mixture over what it may have got wrong in a row.
+"""Keypoints of a tracker with occasional errors: a mixture over the errors that a row may contain.
 
-A stray detection is off by s more, in each coordinate, with probability ρ for each keypoint; a swap exchanges the
-detections of two keypoints, with probability ρ for the row; a shift moves all of a row by one chance. With h_p, σ_p
-the mean and the deviations of keypoint p, and π_a the keypoint whose detection stands at p under the row's
-alternative a (none swapped, or one swap),
+An outlier has an additional error of sd s in each coordinate, with probability ρ for each keypoint; a swap exchanges
+the detections of two keypoints, with probability ρ for the row; a shift moves all keypoints of a row together, with
+one probability. With h_p, σ_p the mean and the deviations of keypoint p, and π_a the keypoint whose detection is at p
+under the row's alternative a (none swapped, or one swap),
 
     p(y) = Σ_a w_a Π_p [ (1 − ρ) N(y_p; h_{π_a(p)}, σ²_{π_a(p)}) + ρ N(y_p; h_{π_a(p)}, σ²_{π_a(p)} + s²) ]
 
-Several effects that stray make one width: ρ and s of independent errors, in turn. A row that is shifted by ξ v, with
-ξ ~ N(0, 1) for all of its keypoints, is one of correlated detections, for each choice of which of them stray:
+Several kinds of outliers are independent errors, whose variances add. A row that is shifted by ξ v, with ξ ~ N(0, 1)
+for all of its keypoints, has correlated detections, for each choice of outliers:
 
-    N(y; h, S + v vᵀ),    S = diag(σ² + s² of those that stray + w²)
+    N(y; h, S + v vᵀ),    S = diag(σ² + s² of outliers + w²)
 
 A missing coordinate, NaN, drops out.
 
-Shapes: rows (..., O) = P keypoints' d coordinates, then E other entries, encoders', which are never mistaken; ρ, s
+Shapes: rows (..., O) = P keypoints' d coordinates, then E other entries, encoders', which have no such errors; ρ, s
 (..., 1).
 """
 
@@ -29,18 +29,18 @@ import torch
 from torch import Tensor
 
 from invdyn.models.observation.row_distribution import RowDistribution
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 from invdyn.models.shapes import common
 
 
 @dataclass(frozen=True)
 class _Alternative:
-    """One of the things that a row's keypoints may be.
+    """One explanation of a row's keypoints.
 
     Attributes:
-        log_density: (...) of the row's detections and this.
-        order: whose detection stands at each place.
-        precision: (..., P, d) of each detection, by its place.
+        log_density: (...) of the row's detections and this alternative.
+        order: the keypoint whose detection is at each place.
+        precision: (..., P, d) of each detection.
         pull: (..., P, d) u, if the detections are correlated, whose precision is then diag(precision) − u uᵀ.
     """
 
@@ -56,7 +56,7 @@ class MistakenRows(RowDistribution):
     Args:
         loc, scale: (..., O) mean and standard deviations of a row without mistakes.
         shape: (P, d).
-        strays, swaps, shift: what may go wrong; the keypoints of swaps by their place in the row.
+        outliers, swaps, shift: the possible errors; keypoints of swaps by their place in the row.
     """
 
     def __init__(
@@ -64,22 +64,22 @@ class MistakenRows(RowDistribution):
         loc: Tensor,
         scale: Tensor,
         shape: tuple[int, int],
-        strays: Sequence[Stray],
+        outliers: Sequence[Outlier],
         swaps: Sequence[Swap],
         shift: Shift | None = None,
     ):
         shifts = [shift] if shift else []
-        rates = [each.rate[..., 0] for mistakes in (strays, swaps, shifts) for each in mistakes]
+        rates = [each.rate[..., 0] for errors in (outliers, swaps, shifts) for each in errors]
         batch = common(loc.shape[:-1], scale.shape[:-1], *(rate.shape for rate in rates))
         self.loc, self.scale = loc.expand(*batch, -1), scale.expand(*batch, -1)
-        self.layout, self.strays, self.swaps, self.shift = shape, tuple(strays), tuple(swaps), shift
+        self.layout, self.outliers, self.swaps, self.shift = shape, tuple(outliers), tuple(swaps), shift
         super().__init__(batch, loc.shape[-1:], validate_args=False)
 
     def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> Any:
         """See :class:`torch.distributions.Distribution`."""
         size = self.loc.shape[-1]
         loc, scale = (value.expand(*batch_shape, size) for value in (self.loc, self.scale))
-        return MistakenRows(loc, scale, self.layout, self.strays, self.swaps, self.shift)
+        return MistakenRows(loc, scale, self.layout, self.outliers, self.swaps, self.shift)
 
     @property
     def points(self) -> int:
@@ -89,7 +89,7 @@ class MistakenRows(RowDistribution):
     # -- the alternatives ----------------------------------------------------------------------
     @property
     def orders(self) -> list[list[int]]:
-        """π_a: whose detection stands at each keypoint's place; the first is none swapped."""
+        """π_a: the keypoint whose detection is at each place; the first has none swapped."""
         orders = [list(range(self.points)) for _ in range(1 + len(self.swaps))]
         for order, swap in zip(orders[1:], self.swaps, strict=True):
             order[swap.one], order[swap.other] = swap.other, swap.one
@@ -102,11 +102,11 @@ class MistakenRows(RowDistribution):
         return [_log(none), *map(_log, rates)]
 
     def _widths(self, scale: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Log-probability (..., 1) and deviations (..., P, d) of every combination of strays."""
+        """Log-probability (..., 1) and deviations (..., P, d) of every combination of outliers."""
         widths = [(torch.zeros_like(scale[..., 0]), scale)]
-        for stray in self.strays:
-            hit = [(weight + _log(stray.rate), torch.hypot(sd, stray.scale.expand_as(sd))) for weight, sd in widths]
-            widths = [(weight + _log(1 - stray.rate), sd) for weight, sd in widths] + hit
+        for outlier in self.outliers:
+            hit = [(weight + _log(outlier.rate), torch.hypot(sd, outlier.scale.expand_as(sd))) for weight, sd in widths]
+            widths = [(weight + _log(1 - outlier.rate), sd) for weight, sd in widths] + hit
         return widths
 
     def _split(self, row: Tensor) -> tuple[Tensor, Tensor]:
@@ -124,9 +124,9 @@ class MistakenRows(RowDistribution):
         return torch.stack([each.log_density for each in found]).logsumexp(0) + _normal(angles, mean, sd).sum(-1)
 
     def _explain(self, value: Tensor) -> "list[_Alternative]":
-        """What the row's keypoints may be: of every order those that are not shifted, and those that are."""
+        """The alternatives: for every order without shift, and with it."""
         y, loc, scale = (self._split(each)[0] for each in (value, self.loc, self.scale))
-        timely = _log(1 - self.shift.rate[..., 0]) if self.shift else 0.0
+        unshifted = _log(1 - self.shift.rate[..., 0]) if self.shift else 0.0
         found = []
         for order, weight in zip(self.orders, self._log_weights(), strict=True):
             widths = self._widths(scale[..., order, :])
@@ -134,13 +134,13 @@ class MistakenRows(RowDistribution):
             stacked = torch.stack(options)
             share = stacked.softmax(0).unsqueeze(-1)
             precision = sum(r / width**2 for r, (_, width) in zip(share, widths, strict=True))
-            found.append(_Alternative(weight + timely + stacked.logsumexp(0).sum(-1), order, precision))
+            found.append(_Alternative(weight + unshifted + stacked.logsumexp(0).sum(-1), order, precision))
             if (shift := self.shift) is None:
                 continue
             for which in product(widths, repeat=self.points):
                 width = torch.stack([width[..., p, :] for p, (_, width) in enumerate(which)], -2)
                 chance = sum(w[..., p] for p, (w, _) in enumerate(which)) + _log(shift.rate[..., 0]) + weight
-                width = torch.hypot(width, shift.beside[..., order, :])
+                width = torch.hypot(width, shift.independent[..., order, :])
                 density, pull = _shifted(y, loc[..., order, :], width, shift.along[..., order, :])
                 found.append(_Alternative(chance + density, order, width**-2, pull))
         return found
@@ -148,8 +148,8 @@ class MistakenRows(RowDistribution):
     def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """W (..., O), ỹ (..., O) and c (...) with log p(y) ≥ −½|W (ỹ − h)|² + c in h, and equal at ``loc``.
 
-        The bound of expectation–maximisation: what a detection says goes, in the shares that the alternatives have
-        given the row, to the keypoints that it may be of. ỹ is 0 where W is. Of rows that may be shifted W is a matrix
+        The bound of expectation–maximisation: a detection counts for each keypoint that it may belong to, in the shares
+        that the alternatives have given the row. ỹ is 0 where W is. Of rows that may be shifted W is a matrix
         (..., O, O), upper triangular, with rows and columns of zeros for what is missing.
         """
         found = self._explain(value)
@@ -180,8 +180,11 @@ class MistakenRows(RowDistribution):
             off = (whitening @ (target - self.loc).unsqueeze(-1))[..., 0]
         return whitening, target, total + 0.5 * off.square().sum(-1)
 
-    def stray(self, value: Tensor) -> Tensor:
-        """Probability (..., P) that each keypoint's detection strays, in rows not swapped or shifted; NaN unseen."""
+    def outlier_probability(self, value: Tensor) -> Tensor:
+        """Probability (..., P) of each keypoint that its detection is an outlier, in rows not swapped or shifted.
+
+        NaN unseen.
+        """
         y, loc, scale = (self._split(each)[0] for each in (value, self.loc, self.scale))
         options = [w + _normal(y, loc, width).sum(-1) for w, width in self._widths(scale)]
         none = torch.stack(options).softmax(0)[0]
@@ -203,13 +206,13 @@ class MistakenRows(RowDistribution):
         shape = self._extended_shape(torch.Size(sample_shape))
         row = self.loc + self.scale * torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device)
         points, angles = self._split(row)
-        for stray in self.strays:
-            hit = torch.rand_like(points[..., :1]) < stray.rate.unsqueeze(-1)
-            points = points + hit * stray.scale * torch.randn_like(points)
+        for outlier in self.outliers:
+            hit = torch.rand_like(points[..., :1]) < outlier.rate.unsqueeze(-1)
+            points = points + hit * outlier.scale * torch.randn_like(points)
         if self.shift is not None:
             hit = (torch.rand_like(points[..., :1, :1]) < self.shift.rate.unsqueeze(-1)).to(points)
             points = points + hit * self.shift.along * torch.randn_like(points[..., :1, :1])
-            points = points + hit * self.shift.beside * torch.randn_like(points)
+            points = points + hit * self.shift.independent * torch.randn_like(points)
         chance = torch.rand_like(points[..., 0, 0])
         passed: Tensor | float = 0.0
         whole = points
@@ -252,7 +255,7 @@ def _whitened_together(
 ) -> tuple[Tensor, Tensor]:
     """W (..., O, O) and ỹ (..., O) where the keypoints' precision is diag(weight) − ``joint`` (..., P·d, P·d)."""
     there = weight > 0
-    # What is missing stands by itself, and is then struck out.
+    # Missing entries become independent, and their rows are then set to zero.
     tril = torch.linalg.cholesky(torch.diag_embed(torch.where(there, weight, 1.0)) - joint)
     aim = torch.cholesky_solve(pulled.unsqueeze(-1), tril)[..., 0]
     size, points = known.shape[-1] + weight.shape[-1], weight.shape[-1]
@@ -263,5 +266,5 @@ def _whitened_together(
 
 
 def _log(probability: Tensor) -> Tensor:
-    """Logarithm of a probability, kept finite: what never happens has a finite slope."""
+    """Logarithm of a probability, kept finite, so that a probability of zero has a finite slope."""
     return probability.clamp_min(torch.finfo(probability.dtype).tiny).log()

@@ -1,9 +1,9 @@
-"""Detections with heavy tails: each keypoint's is off as a whole, by a multivariate Student's t.
+"""Detections with heavy tails: each keypoint's error follows a multivariate Student's t.
 
     y_p ~ t_ν(h_p, diag σ_p²),     log p = log Γ((ν + d)/2) − log Γ(ν/2) − ½ d log νπ − Σ log σ − ½ (ν + d) log(1 + q/ν)
 
 with q = Σ ((y_p − h_p)/σ_p)² over the d coordinates that were seen (Kotz & Nadarajah 2004, "Multivariate t
-distributions", §1). It is a normal law whose width varies from detection to detection, for all coordinates alike.
+distributions", §1). It is a scale mixture of normals, with one scale for all coordinates of a detection.
 Other entries of a row, encoders', are normal.
 
 Shapes: rows (..., O) = P keypoints' d coordinates, then E other entries; ν (...), or a number for all rows.

@@ -1,9 +1,9 @@
-"""What is observed of a body: one or several sensors, whose parts make a row.
+"""The observation of a body: one or several sensors, whose parts form a row.
 
-Sensors of independent noise that stand side by side have one distribution: Gaussian; or with "emission.df" degrees of
-freedom (1,) for stray detections, Student-t of each entry or multivariate t of each keypoint (:mod:`.multivariate_t`);
-or where the tracker errs a mixture (:mod:`.mixture`). Others keep their own, and :mod:`.side_by_side` joins what there
-is.
+Adjacent sensors of independent noise have one joint distribution: Gaussian; or with "emission.df" degrees of
+freedom (1,) for outliers, Student-t of each entry or multivariate t of each keypoint (:mod:`.multivariate_t`);
+or for a tracker with occasional errors a mixture (:mod:`.mixture`). Others keep their own, and :mod:`.side_by_side`
+joins them.
 
 Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 """
@@ -31,15 +31,15 @@ from invdyn.models.shapes import join
 
 Rows = TypeVar("Rows", Tensor, np.ndarray)
 FAMILIES = ("gaussian", "student_t", "multivariate_t")
-DEGREES = 4.0
-"""Of freedom of Student-t noise, to begin with."""
+DEFAULT_DEGREES = 4.0
+"""Starting value of the degrees of freedom of Student-t noise."""
 
 
 class Observation:
     """Sensors that are read in every row.
 
     Args:
-        sensors: in the order of their parts; keypoints whose tracker may err come first.
+        sensors: in the order of their parts; keypoints whose tracker may have occasional errors come first.
         family: one of ``FAMILIES``, of those with independent noise; "multivariate_t" of keypoints.
 
     Raises ValueError for an unknown family, no sensor, or two of one name.
@@ -55,7 +55,7 @@ class Observation:
             raise ValueError(f"expected a name of its own for each sensor, got {', '.join(names)}")
         self.sensors = tuple(sensors)
         self.family = family
-        # Next to each other those of independent noise, any other by itself.
+        # Runs of adjacent sensors of independent noise; any other is a run of its own.
         runs = groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)
         self._runs: list[list[Any]] = [list(run) for _, run in runs]
         self.remembering: list[Any] = [each for each in sensors if isinstance(each, Remembering) and each.states]
@@ -65,7 +65,7 @@ class Observation:
         return type(self)(*sensors, family=self.family)
 
     def bound(self, body: ArticulatedBody) -> Self:
-        """The observation of a body: what it needs to know its size."""
+        """The observation of a body, whose size is then known."""
         return self._with([each.bound(body) for each in self.sensors])
 
     def to(self, device: torch.device | str) -> Self:
@@ -80,7 +80,7 @@ class Observation:
         return other
 
     def data(self) -> list[Tensor]:
-        """What its sensors know of each row beside what they observed, such as a tracker's confidence."""
+        """Its sensors' data of each row other than the observations, such as a tracker's confidence."""
         known = None if self.keypoints is None else self.keypoints.confidence
         own = [] if known is None else [known.doubt, known.drop, known.itself]
         return own if self.pixels is None else [*own, *self.pixels.data()]
@@ -124,8 +124,8 @@ class Observation:
     def part(self, sensor: Sensor) -> slice:
         """Where a sensor's part of a row is."""
         before = self.sensors[: self.sensors.index(sensor)]
-        begun = sum(map(size, before))
-        return slice(begun, begun + size(sensor))
+        start = sum(map(size, before))
+        return slice(start, start + size(sensor))
 
     def of(self, sensor: Sensor, rows: Rows) -> Rows:
         """A sensor's part of rows (..., O), tensor or array, in its own shape."""
@@ -151,13 +151,13 @@ class Observation:
         for each in self.sensors:
             parameters |= each.defaults(reach)
         if self.family != "gaussian":
-            parameters["emission.df"] = torch.full((1,), DEGREES).double()
+            parameters["emission.df"] = torch.full((1,), DEFAULT_DEGREES).double()
         return parameters
 
     def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
         """Distribution of row ``t``, event shape (O,).
 
-        Raises ValueError for mistakes of Student-t noise, which has its own account of stray detections.
+        Raises ValueError for mistakes under Student-t noise, which models outliers itself.
         """
         parts = [self._side_by_side(run, view, t, parameters) for run in self._runs]
         return parts[0] if len(parts) == 1 else SideBySide(parts)
@@ -185,7 +185,7 @@ class Observation:
 
     # -- states of the sensors themselves --------------------------------------------------------
     def _for(self, sensor: Sensor, view: View) -> View:
-        """What there is to see, with the sensor's own states."""
+        """The view with the sensor's own states."""
         if view.memory is None:
             return view
         if sensor not in (own := self.remembering):
@@ -211,16 +211,16 @@ class Observation:
         """Of the M states those that show in one entry of a row each, by number, and these entries."""
         own: list[int] = []
         shown: list[int] = []
-        begun = 0
+        start = 0
         for each in self.remembering:
-            own += range(begun, begun + each.alone)
+            own += range(start, start + each.alone)
             shown += range(self.part(each).start, self.part(each).start + each.alone)
-            begun += each.states
+            start += each.states
         return own, shown
 
 
 class _UncheckedStudentT(StudentT):
-    """Student-t noise whose parameters (..., O) nobody checks.
+    """Student-t noise whose parameters (..., O) are not checked.
 
     torch's own class has the χ² inside it checked whatever ``validate_args`` says: the host would wait in each row.
     """

@@ -49,8 +49,8 @@ def moved(cameras: PinholeCameras, turn: Tensor, shift: Tensor) -> PinholeCamera
     x = exp([turn]×) (R X + t) + shift
     """
     x, y, z = turn.unbind(-1)
-    none = torch.zeros_like(x)
-    cross = torch.stack([none, -z, y, z, none, -x, -y, x, none], -1).unflatten(-1, (3, 3))
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
     by = torch.linalg.matrix_exp(cross)
     translation = (by @ cameras.translation.unsqueeze(-1)).squeeze(-1) + shift
     return cameras._replace(rotation=by @ cameras.rotation, translation=translation)
@@ -59,7 +59,7 @@ def moved(cameras: PinholeCameras, turn: Tensor, shift: Tensor) -> PinholeCamera
 def project(cameras: PinholeCameras, points: Tensor, each: bool = False) -> tuple[Tensor, Tensor]:
     """Points (…, P, 3) → pixels (…, C, P, 2), and which of them are in front of the camera, within its limit (…, C, P).
 
-    Those that are not have NaN, and their gradient is zero: what is not seen pulls at nothing. With ``each`` every
+    Those that are not have NaN, and their gradient is zero: what is not seen has no influence. With ``each`` every
     camera has points of its own, (…, C, P, 3). Poses may have leading dimensions that broadcast.
     """
     law = "...cij,...cpj->...cpi" if each else "...cij,...pj->...cpi"
@@ -69,8 +69,8 @@ def project(cameras: PinholeCameras, points: Tensor, each: bool = False) -> tupl
     plane = local[..., :2] / torch.where(ahead, depth, 1.0)[..., None]
     seen = ahead & (plane.detach().square().sum(-1) <= cameras.limit[:, None].square())
     # A point that is not seen is moved onto the axis before the lens: NaN times zero would be NaN in its gradient.
-    bent = _distort(torch.where(seen[..., None], plane, 0.0), cameras)
-    pixels = cameras.focal[:, None] * bent + cameras.center[:, None]
+    distorted = _distort(torch.where(seen[..., None], plane, 0.0), cameras)
+    pixels = cameras.focal[:, None] * distorted + cameras.center[:, None]
     return torch.where(seen[..., None], pixels, torch.nan), seen
 
 
@@ -80,12 +80,12 @@ def _distort(plane: Tensor, cameras: PinholeCameras) -> Tensor:
     k1, k2, p1, p2, k3 = (each[:, None] for each in cameras.distortion.unbind(-1))
     r2 = a * a + b * b
     d = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    bent = torch.stack(
+    distorted = torch.stack(
         (a * d + 2 * p1 * a * b + p2 * (r2 + 2 * a * a), b * d + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b), -1
     )
     if cameras.fisheye is None:
-        return bent
-    return torch.where(cameras.fisheye[:, None, None], plane * _fisheye(r2, cameras.distortion)[..., None], bent)
+        return distorted
+    return torch.where(cameras.fisheye[:, None, None], plane * _fisheye(r2, cameras.distortion)[..., None], distorted)
 
 
 def _fisheye(r2: Tensor, distortion: Tensor) -> Tensor:

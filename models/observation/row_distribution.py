@@ -8,7 +8,7 @@ from torch.distributions import constraints
 
 
 class RowDistribution(TorchDistribution):
-    """Base of them; event shape (O,). :mod:`.missing` asks them, where it does the rest itself for torch's own.
+    """Base class; event shape (O,). :mod:`.missing` calls their methods, and computes the same for torch's own classes.
 
     Each has ``loc`` (..., O), the row without mistakes, about which methods linearise.
     """

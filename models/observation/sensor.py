@@ -1,12 +1,12 @@
-"""What a sensor is: it owns its part of an observation row.
+"""The protocol of sensors: each owns its part of an observation row.
 
-A row (O,) is the sensors' parts, one after the other (:mod:`.observation`); each sensor knows its size and columns, the
-dims that a posterior gives it, its units, its parameters "emission.<name>", and predicts its part from what there is to
-see (:mod:`.view`). NaN is missing: entries that were not seen have no term in the likelihood (:mod:`.missing`).
+A row (O,) is the sensors' parts, one after the other (:mod:`.observation`). Each sensor knows its size and columns, its
+dims in a posterior, its units, its parameters "emission.<name>", and predicts its part from the observable quantities
+(:mod:`.view`). NaN is missing: entries that were not seen have no term in the likelihood (:mod:`.missing`).
 
-A sensor whose entries have independent noise of one scale each derives from :class:`NoisySensor`, and writes where its
-entries are and how wide; the observation's noise family makes a distribution of all of them at once. Any other class
-that satisfies :class:`Sensor` has whatever distribution it returns.
+A sensor whose entries have independent noise of one scale each derives from :class:`NoisySensor`, and returns location
+and scale of its entries; the observation's noise family makes one distribution of all of them. Any other class that
+satisfies :class:`Sensor` returns a distribution of its own.
 
 Shapes: n entries of the sensor; P·d of P keypoints in d dimensions, for example.
 """
@@ -30,7 +30,7 @@ class Sensor(Protocol):
 
     @property
     def name(self) -> str:
-        """Under which a posterior keeps what it observed: a word of its own among the sensors of a row."""
+        """The name of its observations in a posterior, different for each sensor of a row."""
 
     @property
     def unit(self) -> str:
@@ -39,7 +39,7 @@ class Sensor(Protocol):
     def bound(self, body: ArticulatedBody) -> Self:
         """The sensor on a body, whose names and dimensions it then knows.
 
-        Raises ValueError if it has no place there.
+        Raises ValueError if the body does not have what it observes.
         """
 
     def to(self, device: torch.device | str) -> Self:
@@ -47,17 +47,17 @@ class Sensor(Protocol):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of its part of a row unflattened, whose product is n; once bound."""
+        """Shape of its part of a row, whose product is n; once bound."""
 
     @property
     def coords(self) -> Mapping[str, Sequence[str]]:
         """Names along each of the dims of that shape, in order; once bound."""
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
-        """Parameters, "emission.<name>", for a body that reaches so far, in float64."""
+        """Parameters, "emission.<name>", for a body of that reach (m), in float64."""
 
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
-        """Those that the noise sd (n,) of its columns tells, which their jitter shows; none where it tells none."""
+        """Parameters estimated from the noise sd (n,) of its columns, ``jitter``; none where it estimates none."""
 
     def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
         """Distribution of its part of row ``t``, event shape (n,)."""
@@ -65,10 +65,10 @@ class Sensor(Protocol):
 
 @runtime_checkable
 class Remembering(Protocol):
-    """What a sensor has beside :class:`Sensor` whose errors last: M states of its own, which nothing else moves.
+    """A :class:`Sensor` with correlated errors: M states of its own, which depend on nothing else.
 
-    Each goes on by itself. The first of them are ``alone``: each is added to one entry of the sensor's part of a row,
-    its own, so that they are n, or 0. The others show in many.
+    Each has a Markov transition of its own. The first ``alone`` of them (n, or 0) are added to one entry each of the
+    sensor's part of a row. The others change several entries.
     """
 
     @property
@@ -77,7 +77,7 @@ class Remembering(Protocol):
 
     @property
     def alone(self) -> int:
-        """How many are: n, or 0."""
+        """How many change one entry alone: n, or 0."""
 
     def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., M) in the first row, about 0."""

@@ -1,4 +1,4 @@
-"""Rows of sensors that each have a distribution of their own: independent given the state.
+"""Rows of sensors with a distribution each, independent given the state.
 
     p(y) = Π_i p_i(y_i)
 
@@ -69,10 +69,10 @@ class SideBySide(RowDistribution):
             return join(*whitening), target, constant
         blocks = [torch.diag_embed(each) if plain else each for each, plain in zip(whitening, flat, strict=True)]
         batch = common(*(block.shape[:-2] for block in blocks))
-        whole, begun = target.new_zeros(*batch, self.event_shape[-1], self.event_shape[-1]), 0
+        whole, start = target.new_zeros(*batch, self.event_shape[-1], self.event_shape[-1]), 0
         for block, size in zip(blocks, self.sizes, strict=True):
-            whole[..., begun : begun + size, begun : begun + size] = block
-            begun += size
+            whole[..., start : start + size, start : start + size] = block
+            start += size
         return whole, target, constant
 
     @torch.no_grad()
@@ -82,7 +82,7 @@ class SideBySide(RowDistribution):
 
 
 def _log_prob(part: Distribution, value: Tensor) -> Tensor:
-    """Log-density (...) of one part over what was seen, without asking the device what that is."""
+    """Log-density (...) of one part over the entries seen, without synchronisation with the device."""
     if not isinstance(part, torch.distributions.MultivariateNormal):
         return observed_log_prob(part, value, ~torch.isnan(value))
     whitening, constant = gaussian_rows(part, value)

@@ -1,4 +1,4 @@
-"""What a tracker gets wrong now and then in a row of detections; :mod:`.mixture` makes a distribution of it.
+"""Occasional errors of a tracker in a row of detections; :mod:`.mixture` makes a distribution of them.
 
 Shapes: P keypoints in d dimensions; leading dimensions are parameter sets.
 """
@@ -9,10 +9,10 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Stray:
-    """Detections from elsewhere: probability (..., 1) of each keypoint in each row, and width, m.
+class Outlier:
+    """Detections far from their keypoint: probability (..., 1) of each keypoint in each row, and sd, m.
 
-    The width is (..., 1, 1) for all alike, or (..., P, d) for each coordinate.
+    The sd is (..., 1, 1), the same for all, or (..., P, d) for each coordinate.
     """
 
     rate: Tensor
@@ -21,14 +21,15 @@ class Stray:
 
 @dataclass(frozen=True)
 class Shift:
-    """All keypoints of a row off together: probability (..., 1) of each row.
+    """All keypoints of a row shifted together: probability (..., 1) of each row.
 
-    By ξ ``along`` (..., P, d) m, ξ ~ N(0, 1), and each coordinate by ``beside`` (..., P, d) m more, its own deviation.
+    The shift is ξ ``along`` (..., P, d) m, ξ ~ N(0, 1); each coordinate has an independent error of sd ``independent``
+    (..., P, d) m in addition.
     """
 
     rate: Tensor
     along: Tensor
-    beside: Tensor
+    independent: Tensor
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What there is to see at a row: for the effects on what is seen, and then for the sensors.
+"""The observable quantities at a row: for effects on observations, and then for the sensors.
 
 Shapes: joint quantities (..., K), sites and what is seen of them (..., S, d). In the plane sites are the links' tips.
 """
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 
 
 @dataclass
@@ -21,18 +21,18 @@ class View:
 
     Attributes:
         q, qd: (..., K) rad, rad/s.
-        points: (..., S, d) m, the sites, as the effects called before leave them.
-        angles: (..., K) rad, what encoders show.
+        points: (..., S, d) m, the sites, as changed by the effects called before.
+        angles: (..., K) rad, as encoders show them.
         body: its numbers.
         dynamics: of this body.
         acceleration: function of none, → θ̈ (..., K).
         angles_after: function of seconds (..., 1), negative ones too, → θ by then, (..., K) rad.
         ahead: function of the same → how far the sites move by then, (..., S, d) m.
         clock: function of none, → s since the first row, (..., 1).
-        doubt: (..., S) 1 − c of the tracker's confidence c, 0 at sites that are not tracked; None where it has none.
-        noise: what effects make of the sites' standard deviations (..., S, d); None for nothing.
-        mistakes: what the tracker gets wrong now and then.
-        memory: (..., M) states of the sensors themselves; then of the one that is asked. None where there are none.
+        doubt: (..., S) 1 − c of the tracker's confidence c, 0 at sites that are not tracked; None without confidence.
+        noise: function that changes the sites' standard deviations (..., S, d), of the effects; None for none.
+        mistakes: occasional errors of the tracker.
+        memory: (..., M) states of all sensors; for a sensor's own method, its own states. None where there are none.
     """
 
     q: Tensor
@@ -47,11 +47,11 @@ class View:
     clock: Callable[[], Tensor]
     doubt: Tensor | None = None
     noise: Callable[[Tensor], Tensor] | None = None
-    mistakes: Sequence[Stray | Swap | Shift] = field(default=())
+    mistakes: Sequence[Outlier | Swap | Shift] = field(default=())
     memory: Tensor | None = None
 
     def seen_at(self, points: Tensor) -> "View":
-        """The same view, with other points."""
+        """The same view with other points."""
         return replace(self, points=points)
 
     def moved(self, site: int, shift: Tensor) -> Tensor:

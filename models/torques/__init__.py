@@ -16,9 +16,10 @@ TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
 }
 
 SMOOTHNESS = ("ornstein_uhlenbeck", "smooth_and_rough")
-"""A rough torque, or a smooth one with a little that is rough: among these evidence chooses.
+"""A rough torque, or the sum of a smooth and a small rough one: evidence chooses among these.
 
-Not those that are smooth alone: evidence likes them, for it hardly sees a small disturbance, and their bands miss it.
+Purely smooth processes are left out: evidence prefers them, as small disturbances hardly change it, but their bands do
+not cover the torque.
 """
 
 __all__ = [

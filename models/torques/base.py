@@ -1,4 +1,4 @@
-"""What a torque process is: a Gaussian Markov chain z_t whose first K entries are the joint torques.
+"""The base class of torque processes: a Gaussian Markov chain z_t whose first K entries are the joint torques.
 
     z_t = m(z_{t−1}, δ) + noise of square-root covariance L(δ),   τ_t = z_t[:K]
 

@@ -11,10 +11,10 @@ How much noise one step of length δ carries is a choice, by name:
 | "exact"   | e^(−λδ) τ    | σ √((1 − e^(−2λδ)) / (2λ))   | N·m/√s          |
 
 A recording may begin in the middle of a motion: with ``underway`` the sd of τ_0 is larger than the stationary one, by
-"torque.initial_scale" (N·m) in quadrature. Motors that act late still do, for a while, what they were told before.
+"torque.initial_scale" (N·m) in quadrature. Motors with a delay still follow, for a while, earlier commands.
 
-By default λ = 5/s: what moves a limb or a robot changes within a fifth of a second, whatever gravity and lengths are.
-This prior has a unit. An arm that moves half as fast in a quarter of gravity is another arm to it, unless λ is halved.
+By default λ = 5/s: torques of a limb or a robot change within a fifth of a second, for all gravities and lengths. So
+this prior is not scale-free: for an arm that moves half as fast in a quarter of gravity, halve λ.
 
 "printed" is the paper's covariance δ²σ²; its torque becomes smooth as δ → 0, so its σ belongs
 to one frame rate. "wiener" is Euler–Maruyama with a true Wiener increment; "exact" is the
@@ -41,11 +41,11 @@ class OrnsteinUhlenbeck(TorqueProcess):
 
     def defaults(self, scale: Tensor) -> dict[str, Tensor]:
         """λ as given and the σ whose stationary sd is ``scale`` in continuous time."""
-        begun = {"torque.initial_scale": scale.clone()} if self.underway else {}
+        initial = {"torque.initial_scale": scale.clone()} if self.underway else {}
         return {
             "torque.decay": from_torques(scale, self.decay),
             "torque.scale": scale * (2 * self.decay) ** 0.5,
-            **begun,
+            **initial,
         }
 
     def _factor(self, dt: Tensor, parameters: Parameters) -> Tensor:
@@ -67,13 +67,13 @@ class OrnsteinUhlenbeck(TorqueProcess):
         return sigma * torch.sqrt(-torch.expm1(-2 * decay * dt) / (2 * decay))
 
     def stationary(self, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Sd of τ_0, (..., K) N·m: that of the discrete chain, and what is not known of the beginning."""
+        """Sd of τ_0, (..., K) N·m: that of the discrete chain, and the uncertainty of the initial torque."""
         factor = self._factor(dt, parameters)
         known = self.noise(dt, parameters) / torch.sqrt(1 - factor**2)
         return torch.hypot(known, parameters["torque.initial_scale"]) if self.underway else known
 
     def unsettled(self, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Sd (..., K), N·m, of one step's noise by which what is not known of the beginning stays as large as it is."""
+        """Sd (..., K), N·m, of the step noise that keeps the uncertainty of the initial torque constant."""
         return parameters["torque.initial_scale"] * torch.sqrt(1 - self._factor(dt, parameters) ** 2)
 
 

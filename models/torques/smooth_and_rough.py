@@ -1,7 +1,7 @@
 """A smooth torque with a rough one on it: a Matérn-5/2 process plus an Ornstein–Uhlenbeck process.
 
-What a motor or a limb means to do is smooth; what disturbs it is not, and is small. A process of one smoothness is
-either too rough for the first, and its bands are wide, or too smooth for the second, and they are too narrow. Sums of
+A motor's or a limb's intended torque is smooth; disturbances are rough and small. A process of one smoothness is either
+too rough for the first, with wide bands, or too smooth for the second, with bands that are too narrow. Sums of
 kernels are kernels: C. E. Rasmussen & C. K. I. Williams, Gaussian Processes for Machine Learning (2006), section 4.2.4.
 
     τ = s + r,    s Matérn-5/2 of marginal sd σ and length scale ℓ,    r Ornstein–Uhlenbeck of marginal sd ρ and decay λ
@@ -24,7 +24,7 @@ from invdyn.models.torques.matern import Matern52, interleaved, triangular
 
 
 class SmoothAndRough(TorqueProcess):
-    """See the top of the file; of the rough part's size to begin with, ``share`` of the smooth one's."""
+    """See the top of the file; the rough part starts at ``share`` of the smooth one's sd."""
 
     diagonal = False
 
@@ -41,7 +41,7 @@ class SmoothAndRough(TorqueProcess):
         return self.smooth.defaults(scale) | rough
 
     def mean(self, z: Tensor, dt: Tensor, parameters: Parameters) -> Tensor:
-        """Both parts go on by themselves, (..., 4K)."""
+        """Mean of each part by its own law, (..., 4K)."""
         K = z.shape[-1] // self.size(1)
         torque, smooth = z[..., :K], z[..., K:]
         after = self.smooth.mean(smooth, dt, parameters)

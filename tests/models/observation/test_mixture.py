@@ -12,7 +12,7 @@ from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.effects import LabelSwap, Outliers
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob, times
 from invdyn.models.observation.mixture import MistakenRows
-from invdyn.models.observation.tracker_errors import Shift, Stray, Swap
+from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
 
 F64 = torch.float64
 POINTS = 3
@@ -40,24 +40,24 @@ def tensor(value):
     return torch.tensor(value, dtype=F64)
 
 
-def rows_of(loc=LOC, scale=SCALE, rate=RATE, strays=1, shifted=False):
+def rows_of(loc=LOC, scale=SCALE, rate=RATE, outliers=1, shifted=False):
     shift = Shift(tensor([MOVED]), torch.as_tensor(ALONG), torch.as_tensor(BESIDE)) if shifted else None
-    stray = Stray(tensor([rate]), tensor([[WIDTH]]))
+    stray = Outlier(tensor([rate]), tensor([[WIDTH]]))
     swaps = [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))]
-    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), (POINTS, 2), [stray] * strays, swaps, shift)
+    return MistakenRows(torch.as_tensor(loc), torch.as_tensor(scale), (POINTS, 2), [stray] * outliers, swaps, shift)
 
 
-def by_hand(y, loc=LOC, strays=1, shifted=False):
+def by_hand(y, loc=LOC, outliers=1, shifted=False):
     """Sum over orders, over which detections are stray and over whether the row is shifted."""
     seen = np.isfinite(y[:6])
     total = 0.0
     for weight, order in ((1 - FIRST - SECOND, (0, 1, 2)), (FIRST, (1, 0, 2)), (SECOND, (0, 2, 1))):
-        for hits in itertools.product(range(strays + 1), repeat=POINTS):
+        for hits in itertools.product(range(outliers + 1), repeat=POINTS):
             term = weight
             mean = np.concatenate([loc[2 * k : 2 * k + 2] for k in order])
             variance = np.concatenate([SCALE[2 * k : 2 * k + 2] ** 2 for k in order])
             for p, count in enumerate(hits):
-                term *= math.comb(strays, count) * RATE**count * (1 - RATE) ** (strays - count)
+                term *= math.comb(outliers, count) * RATE**count * (1 - RATE) ** (outliers - count)
                 variance[2 * p : 2 * p + 2] += count * WIDTH**2
             for moved in (False, True) if shifted else (False,):
                 chance = (MOVED if moved else 1 - MOVED) if shifted else 1.0
@@ -71,10 +71,10 @@ def by_hand(y, loc=LOC, strays=1, shifted=False):
 
 @EVERY
 @SHIFTED
-@pytest.mark.parametrize("strays", [0, 1, 2])
-def test_density(row, strays, shifted):
-    y, emission = tensor(ROWS[row]), rows_of(strays=strays, shifted=shifted)
-    expected = by_hand(ROWS[row], strays=strays, shifted=shifted)
+@pytest.mark.parametrize("outliers", [0, 1, 2])
+def test_density(row, outliers, shifted):
+    y, emission = tensor(ROWS[row]), rows_of(outliers=outliers, shifted=shifted)
+    expected = by_hand(ROWS[row], outliers=outliers, shifted=shifted)
     assert emission.log_prob(y).item() == pytest.approx(expected, abs=1e-9)
     assert observed_log_prob(emission, y).item() == pytest.approx(expected)
 
@@ -83,13 +83,13 @@ def test_density_of_batches():
     """Parameter sets (S, 1, 1) beside rows (T, O)."""
     rates, y = tensor([0.05, 0.2]).reshape(2, 1, 1), tensor(np.stack(list(ROWS.values())))
     loc = torch.as_tensor(LOC).expand(len(ROWS), 7)
-    many = MistakenRows(loc, torch.as_tensor(SCALE), (POINTS, 2), [Stray(rates, tensor([[WIDTH]]))], [])
+    many = MistakenRows(loc, torch.as_tensor(SCALE), (POINTS, 2), [Outlier(rates, tensor([[WIDTH]]))], [])
     assert many.batch_shape == (2, len(ROWS))
     found = many.log_prob(y)
     for s in range(2):
         for t in range(len(ROWS)):
             alone = MistakenRows(
-                loc[t], torch.as_tensor(SCALE), (POINTS, 2), [Stray(rates[s, 0], tensor([[WIDTH]]))], []
+                loc[t], torch.as_tensor(SCALE), (POINTS, 2), [Outlier(rates[s, 0], tensor([[WIDTH]]))], []
             )
             torch.testing.assert_close(found[s, t], alone.log_prob(y[t]))
 
@@ -130,18 +130,18 @@ def test_a_swap_is_seen_where_it_belongs():
     assert explained(torch.distributions.Independent(plain, 1), y) is y
 
 
-@pytest.mark.parametrize("strays", [1, 2])
-def test_which_detections_stray(strays):
+@pytest.mark.parametrize("outliers", [1, 2])
+def test_which_detections_are_outliers(outliers):
     """By Bayes' rule, keypoint by keypoint, of a row as it stands; NaN where nothing is seen."""
     y = np.stack([ROWS["stray"], ROWS["half missing"], ROWS["one missing"]])
-    found = rows_of(strays=strays).stray(torch.as_tensor(y)).numpy()
+    found = rows_of(outliers=outliers).outlier_probability(torch.as_tensor(y)).numpy()
     assert np.argwhere(np.isnan(found)).tolist() == [[2, 1]]
     for row, point in np.argwhere(~np.isnan(found)):
         here = slice(2 * point, 2 * point + 2)
         seen = np.isfinite(y[row, here])
         off, sd = (y[row, here] - LOC[here])[seen], SCALE[here][seen]
-        widths = [norm.pdf(off, 0, np.hypot(sd, math.sqrt(k) * WIDTH)).prod() for k in range(strays + 1)]
-        chance = [math.comb(strays, k) * RATE**k * (1 - RATE) ** (strays - k) for k in range(strays + 1)]
+        widths = [norm.pdf(off, 0, np.hypot(sd, math.sqrt(k) * WIDTH)).prod() for k in range(outliers + 1)]
+        chance = [math.comb(outliers, k) * RATE**k * (1 - RATE) ** (outliers - k) for k in range(outliers + 1)]
         none, *some = np.array(widths) * chance
         assert found[row, point] == pytest.approx(sum(some) / (none + sum(some)))
 
@@ -154,7 +154,7 @@ def test_draws():
         torch.as_tensor(LOC),
         torch.as_tensor(SCALE) / 100,
         (POINTS, 2),
-        [Stray(tensor([RATE]), tensor([[0.01]]))],
+        [Outlier(tensor([RATE]), tensor([[0.01]]))],
         [Swap(0, 1, tensor([FIRST])), Swap(1, 2, tensor([SECOND]))],
     )
     y = emission.sample((n,)).numpy()
@@ -186,7 +186,7 @@ def test_shifted_draws():
 def test_rates_of_zero_are_no_mixture_and_have_slopes():
     rate = torch.zeros(1, dtype=F64, requires_grad=True)
     emission = MistakenRows(
-        torch.as_tensor(LOC), torch.as_tensor(SCALE), (POINTS, 2), [Stray(rate, tensor([[0.3]]))], [Swap(0, 1, rate)]
+        torch.as_tensor(LOC), torch.as_tensor(SCALE), (POINTS, 2), [Outlier(rate, tensor([[0.3]]))], [Swap(0, 1, rate)]
     )
     y = tensor(ROWS["plain"])
     value = emission.log_prob(y)
