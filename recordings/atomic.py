@@ -45,7 +45,7 @@ def check_writable(path: str | Path) -> Path:
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path (same folder and suffix): on success it becomes `path`, on any failure it goes.
+    """Yield a temporary path (same folder and suffix): on success it becomes `path`, on any failure it is removed.
 
     Within :func:`whole_set` it becomes `path` at the end of the set.
 

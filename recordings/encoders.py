@@ -1,4 +1,4 @@
-"""Keypoints that a camera would have seen, made from measured or simulated joint angles.
+"""Keypoints that a camera would have seen, computed from measured or simulated joint angles.
 
 Forward kinematics of a planar chain: tip_k = base + Σ_{j≤k} L_j (cos φ_j, sin φ_j) with φ_j = Σ_{i≤j} θ_i.
 Angles are interpolated linearly to the camera's times, then white noise is added.
@@ -23,7 +23,7 @@ def keypoints_from_angles(
     base: Sequence[float] = (0.0, 0.0),
     keypoint_names: Sequence[str] | None = None,
 ) -> Recording:
-    """A keypoint recording without angles or commands: what is left to infer is the torque.
+    """A keypoint recording without angles or commands, from which the torque is to be inferred.
 
     Args:
         source: angles (T, K) rad, Denavit–Hartenberg; NaN stays missing.
@@ -45,7 +45,7 @@ def keypoints_from_angles(
     if noise_sd < 0 or (rate is not None and not rate > 0):
         raise InputError(f"noise must not be negative and the rate positive, got {noise_sd} and {rate}")
     time = source.time
-    if rate is not None:  # the small slack keeps a last frame that falls on the end but for rounding
+    if rate is not None:  # 1e-9 keeps a last frame at the end despite rounding
         frames = np.floor((time[-1] - time[0]) * rate + 1e-9) + 1
         time = np.minimum(time[0] + np.arange(frames) / rate, time[-1])
         angles = np.stack([np.interp(time, source.time, column) for column in angles.T], axis=-1)

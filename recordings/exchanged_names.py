@@ -1,11 +1,11 @@
-"""Two keypoints whose names are exchanged throughout: lengths that no scale mends, and an exchange does.
+"""Two keypoints whose names are exchanged throughout: distances that fit at no scale, but fit after the exchange.
 
-Let d be the distances of points that a body keeps apart by L. With s = ΣL/Σ median d, whatever the scale is,
+Let d be the distances of points that are L apart on the body. With the scale s = ΣL/Σ median d,
 
     r = max median |s d/L − 1|
 
-Names are exchanged where r is large, and far smaller once two of them change places. A scale that is wrong, markers
-aside of their joints and a picture that shortens leave r as large as before.
+Names are exchanged where r is large, and far smaller after exchanging two of them. A wrong scale, markers next to their
+joints and perspective do not reduce r that way.
 
 Shapes: T frames, S axes.
 """
@@ -17,10 +17,10 @@ import numpy as np
 
 from .errors import InputError
 
-OFF = 0.15
-"""r that noise and markers aside of their joints seldom reach."""
-MENDED = 0.3
-"""Of r, what may be left of it: as of torques that a mistake explains."""
+MIN_MISFIT = 0.15
+"""r that noise and markers next to their joints rarely reach."""
+MAX_MISFIT_LEFT = 0.3
+"""Of r, after an exchange that explains it."""
 
 
 def check_names(
@@ -34,7 +34,7 @@ def check_names(
         keypoints: names that the recording gave.
     """
     own = _misfit(points, lengths)
-    if not own > OFF:
+    if not own > MIN_MISFIT:
         return
     ends = [name for name in dict.fromkeys(name for pair in lengths for name in pair) if name in keypoints]
     tried = {
@@ -43,7 +43,7 @@ def check_names(
     }
     none = (("", ""), np.inf)
     (one, other), left = min(tried.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf), default=none)
-    if left < MENDED * own:
+    if left < MAX_MISFIT_LEFT * own:
         raise InputError(
             f"keypoints {one!r} and {other!r} seem to be exchanged: distances differ from the body's lengths by "
             f"{100 * own:.0f} % (median, at any scale), with the two names exchanged by {100 * left:.0f} %: "
@@ -52,7 +52,7 @@ def check_names(
 
 
 def _misfit(points: Mapping[str, np.ndarray], lengths: Mapping[tuple[str, str], float]) -> float:
-    """r; NaN where some two are never seen together, or lie in one place."""
+    """r; NaN where two are never seen together, or always coincide."""
     apart = {pair: np.linalg.norm(points[pair[0]] - points[pair[1]], axis=-1) for pair in lengths}
     seen = {pair: distance[np.isfinite(distance)] for pair, distance in apart.items()}
     if not all(map(len, seen.values())):

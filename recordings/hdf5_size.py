@@ -9,12 +9,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .budget import PIECE, memory_limit
+from .budget import LIMITS, memory_limit
 from .errors import InputError, first_line
 from .paths import check_readable
-
-NUMBER = 8
-"""Bytes of a number once it is read, at least: all become float64."""
 
 
 def check_hdf5(path: str | Path) -> None:
@@ -59,8 +56,10 @@ def bytes_of(data: h5py.Dataset) -> int:
     """Bytes of a data set in memory. Raises InputError where it lies in another file or its chunks are too large."""
     if data.external or data.is_virtual:
         raise InputError(f"{data.name:.100} lies in another file, which is not read")
-    item = max(NUMBER, data.dtype.itemsize)
+    item = max(8, data.dtype.itemsize)  # all numbers become float64
     chunk = item * int(np.prod(data.chunks or (0,), dtype=object))
-    if chunk > PIECE:
-        raise InputError(f"{data.name:.100} has chunks of {chunk:.3g} bytes, expected at most {PIECE / 2**20:g} MiB")
+    if chunk > LIMITS.chunk:
+        raise InputError(
+            f"{data.name:.100} has chunks of {chunk:.3g} bytes, expected at most {LIMITS.chunk / 2**20:g} MiB"
+        )
     return item * int(data.size or 0)

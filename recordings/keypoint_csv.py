@@ -1,10 +1,10 @@
 """The project's own file: one row a sample, SI units, a header that says what each column is.
 
     time                        s; or in its place
-    frame                       number of the frame, of a film whose frame rate is told
+    frame                       number of the frame, of a film of known frame rate
     <keypoint>_x,_y[,_z]        m; x right, y up in 2-D; z up in 3-D
     <keypoint>_likelihood       the tracker's confidence, optional
-    <joint>_torque              N·m, the commanded torque, held until the next row that has one; optional
+    <joint>_torque              N·m, the commanded torque, constant until the next row that has one; optional
     <joint>_angle               rad, Denavit–Hartenberg, from encoders; optional
 
 An empty cell is missing. A row may carry a command and no keypoints: commands often run faster than cameras.
@@ -23,8 +23,8 @@ from .tables import read_header, read_table, write_table
 
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
-TIME, FRAME = CLOCKS = ("time", "frame")  # columns that say when a row was, one of them a file
-HINTS = 5  # names that a message goes into
+TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
+MAX_HINTS = 5  # names in a message
 
 
 def read_keypoint_csv(
@@ -91,7 +91,7 @@ def read_keypoint_csv(
             keypoint_names=points,
             confidence=optional(points, "likelihood"),
             angles=optional(names, "angle"),
-            torques=None if torques is None else _hold(torques, names),
+            torques=None if torques is None else _fill_forward(torques, names),
             joint_names=names,
             name=Path(path).stem,
         )
@@ -159,9 +159,11 @@ def _expected(
     missing = [name for name in expected if name not in in_file]
     if unknown or (missing and kind == "keypoint"):
         hints = [
-            f"unknown {name!r}{closest(name, [*missing, *others])}" for name in unknown[:HINTS] if expected or others
+            f"unknown {name!r}{closest(name, [*missing, *others])}"
+            for name in unknown[:MAX_HINTS]
+            if expected or others
         ]
-        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:HINTS])])
+        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:MAX_HINTS])])
         raise InputError(
             f"the file's {kind}s ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
             "rename the columns or the body's names"
@@ -173,16 +175,16 @@ def _distinct(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _hold(torques: np.ndarray, joints: Sequence[str]) -> np.ndarray:
-    """(T, K), each empty cell taking the last command above it; a column that is all empty stays unknown."""
-    held = torques.copy()
+def _fill_forward(torques: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+    """(T, K), the last command above in each empty cell; a column that is all empty stays unknown."""
+    filled = torques.copy()
     for k, joint in enumerate(joints):
-        given = np.isfinite(held[:, k])
+        given = np.isfinite(filled[:, k])
         if given.any() and not given[0]:
             raise InputError(
-                f"column '{joint}_torque' has no value in its first row: a command is held until the next, "
+                f"column '{joint}_torque' has no value in its first row: a command applies until the next, "
                 "so the first row needs one (0 for a motor that is off)"
             )
         last = np.maximum.accumulate(np.where(given, np.arange(len(given)), 0))
-        held[:, k] = held[last, k]
-    return held
+        filled[:, k] = filled[last, k]
+    return filled

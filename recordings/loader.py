@@ -13,13 +13,13 @@ from . import catalogue
 from .errors import InputError, about
 from .formats import FORMATS, Format, recognise
 from .keypoint_csv import numbers_frames, read_keypoint_csv
-from .lost import without_lost
 from .naming import alike, closest
 from .paths import check_readable, resolved
 from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
 from .recording import Recording
 from .units import FRAMES, Units, parse_units, to_si
+from .zero_likelihood import without_zeros
 
 SLOWEST, FASTEST = 1e-3, 1e6  # frames a second
 
@@ -125,7 +125,7 @@ def read_file(
             recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
         else:
             recording = form.read(path, fps, individual)
-        recording = without_lost(recording, pixels=declared.length == "px")
+        recording = without_zeros(recording, pixels=declared.length == "px")
         if plane is not None:
             recording = planar(recording, plane, form.axes)
         elif rotated := read_as(form.axes):

@@ -1,7 +1,7 @@
 """The other trackers' files, read through the package `movement` (extra `tracks`).
 
 SLEAP (.slp, .h5), Lightning Pose (.csv) and Anipose (.csv, 3-D, with keypoints in alphabetical order). None of these is
-read through pickles (`movement` reads DeepLabCut's .h5 by PyTables, which runs what is in it, so that
+read through pickles (`movement` reads DeepLabCut's .h5 by PyTables, which executes pickles, so that
 :mod:`.deeplabcut` does it instead). Numbers stay as in the file. https://movement.neuroinformatics.dev
 """
 
@@ -32,14 +32,14 @@ def read_with_movement(path: str | Path, software: str, fps: float, individual: 
             be chosen.
         OSError: a file that cannot be opened.
     """
-    with open(path, "rb"):  # missing, a folder, not permitted: the system's own words are the clearest
+    with open(path, "rb"):  # raises the system's own error for a path that cannot be opened
         pass
     load_dataset = _import_movement(path)
     if Path(path).suffix.lower() != ".csv":
         check_hdf5(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the library's own affairs
+            warnings.simplefilter("ignore")  # of the library itself
             dataset = load_dataset(Path(path), source_software=SOFTWARE[software], fps=fps)
             position = dataset.position.transpose("time", "individuals", "keypoints", "space")
             confidence = dataset.confidence.transpose("time", "individuals", "keypoints").to_numpy()

@@ -1,4 +1,4 @@
-"""Which name a misspelt one stands for: letters first, case, spaces, hyphens and underscores last."""
+"""Suggestions for misspelt names: case, spaces, hyphens and underscores count least."""
 
 import difflib
 from collections.abc import Iterable
@@ -10,13 +10,13 @@ def alike(name: str, known: Iterable[str]) -> str | None:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The one of `known` that `name` probably stands for; None if it is like none of them."""
+    """The one of `known` that `name` probably means; None if it is similar to none."""
     known = list(known)
     return alike(name, known) or next(iter(difflib.get_close_matches(name, known, 1)), None)
 
 
 def closest(name: str, known: Iterable[str]) -> str:
-    """Words for a message that has `name`: " (closest: 'wrist')", or nothing where none is like it."""
+    """Words for a message that has `name`: " (closest: 'wrist')", or nothing where none is similar."""
     near = nearest(name, known)
     return "" if near is None else f" (closest: {near!r})"
 

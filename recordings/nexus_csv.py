@@ -5,7 +5,7 @@
     ,,Ada:LELB,,,Ada:LWRI,,                 subject and marker over the first of its columns
     Frame,Sub Frame,X,Y,Z,X,Y,Z
     ,,mm,mm,mm,mm,mm,mm
-    1,0,-391.888,-618.1,173.43,,,           empty where a marker is lost; the section ends with an empty line
+    1,0,-391.888,-618.1,173.43,,,           empty where a marker is not seen; the section ends with an empty line
 
 Other sections (devices, model outputs, joints …) may come before and after, and are left out. Cells are separated by
 commas, semicolons or tabs. Axes are those of the capture volume, z up. https://help.vicon.com (Nexus, export to ASCII)
@@ -37,7 +37,7 @@ def read_nexus_csv(path: str | Path, individual: str | None = None) -> Recording
     """Markers (T, P, 3), m, at (frame − 1)/rate; `individual` is a subject, needed where there are several.
 
     Raises:
-        InputError: no section of trajectories, a rate or unit that is none, cells that are no numbers, or a subject
+        InputError: no section of trajectories, an invalid rate or unit, cells that are no numbers, or a subject
             that was not chosen.
         OSError: a file that cannot be opened.
     """

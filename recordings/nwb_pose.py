@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .budget import MEMORY
+from .budget import LIMITS
 from .deeplabcut import choose_individual
 from .errors import InputError, about, first_line
 from .hdf5_size import bytes_of
@@ -125,6 +125,6 @@ def _child(group: h5py.Group, name: str) -> h5py.Dataset:
     stored = None if isinstance(group.get(name, getlink=True), h5py.ExternalLink) else group[name]
     if stored is None or stored.file != group.file:
         raise InputError(f"{group.name}/{name} lies in another file, which is not read")
-    if (size := bytes_of(stored)) > MEMORY:
-        raise InputError(f"{stored.name} declares {size:.3g} bytes, expected at most {MEMORY / 2**30:g} GiB")
+    if (size := bytes_of(stored)) > LIMITS.memory:
+        raise InputError(f"{stored.name} declares {size:.3g} bytes, expected at most {LIMITS.memory / 2**30:g} GiB")
     return stored

@@ -1,7 +1,7 @@
 """OpenSim's tables: joint moments (.sto) and motions (.mot) out, marker tracks (.trc) and motions in.
 
 A .sto is a name, version, nRows, nColumns, inDegrees, `endheader`, a line of labels, then rows, all separated
-by tabs; what went through a spreadsheet is separated by commas, and is read, too. OpenSim's ground has y up and z to
+by tabs; files saved by a spreadsheet are separated by commas, and are read as well. OpenSim's ground has y up and z to
 the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
 https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
 """
@@ -21,7 +21,7 @@ from .units import METRES
 TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
 """Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
 ANGLES = {"yes": "deg", "no": "rad"}
-"""The unit of joints that turn, by what a header says of inDegrees; distances are in m in both."""
+"""The unit of rotating joints by the header's inDegrees; distances are in m in both cases."""
 
 
 def write_sto(columns: Mapping[str, np.ndarray], path: str | Path, name: str = "Inverse Dynamics") -> None:
@@ -96,7 +96,7 @@ def read_motion(path: str | Path) -> Recording:
 
 
 def motion_unit(path: str | Path) -> str | None:
-    """What the angles of a motion are in, deg or rad; None where its header does not say.
+    """What the angles of a motion are in, deg or rad; None where its header does not state it.
 
     Raises InputError for another kind of file, and an inDegrees that is neither yes nor no.
     """

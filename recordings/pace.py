@@ -1,17 +1,16 @@
-"""Whether a body can have moved at the pace that a recording's times say, and gaps in them.
+"""Plausibility of a recording's times and speeds for a body of given size; and gaps in the times.
 
-A body has a clock of its own, the swing of a pendulum as long as it: T = 2π √(L/g). That tells seconds from frame
-numbers, and radians from degrees. On this clock
+The period of a pendulum as long as the body, T = 2π √(L/g), is a natural unit of time. It distinguishes seconds from
+frame numbers, and radians from degrees:
 
-    rows      come at least four times a swing (a quarter of it is the fall from level to hanging), or there is no
-              motion to be seen between them; and no faster than `QUICKEST`
+    rows      come at least four times a period (a quarter of it is the fall from level to hanging), else motion is
+              not resolved; and no faster than `MIN_INTERVAL`
     speeds    have Froude numbers v²/(g L), the tip's centripetal over gravity's acceleration (Alexander, Physiol. Rev.
               69, 1989), of the order of 1: the robots and passive pendulums that come with this package lie between 0
               and 4.3; minutes taken for seconds raise it 3,600-fold, degrees taken for radians 3,283-fold
 
-v is taken over a hundredth and over a half of a swing, where noise does not reach. It must be exceeded in a quarter of
-the rows, so that neither rest nor a few lost points count. g = 9.81 m/s², whatever gravity does in the
-body's own plane.
+v is the mean speed over `BASELINE`, over which noise is averaged. It must be exceeded in a quarter of the rows, so that
+neither rest nor a few outliers count. g = 9.81 m/s², for all gravities in the body's own plane.
 """
 
 import warnings
@@ -25,14 +24,14 @@ from .recording import Recording
 from .units import TIMES, Units
 
 GRAVITY = 9.81  # m/s²
-QUICKEST = 1e-5  # s, a tenth of a fast camera's interval and of a motor controller's
-USUAL = 0.02  # s, between a film's 1/30 and a robot's log
-FASTEST = 20.0  # Froude number: four turns a second of a link of .3 m
-BASELINE = 0.1  # √(L/g), over which a speed is taken
+MIN_INTERVAL = 1e-5  # s between rows, a tenth of a fast camera's or a motor controller's
+TYPICAL_INTERVAL = 0.02  # s, between a film's 1/30 and a robot's log
+MAX_FROUDE = 20.0  # four revolutions a second of a link of .3 m
+BASELINE = 0.1  # √(L/g), of a speed
 
 
 def swing(length: float) -> float:
-    """Of a pendulum, s."""
+    """Period of a pendulum of that length (m), s."""
     return 2 * np.pi * float(np.sqrt(length / GRAVITY))
 
 
@@ -40,8 +39,8 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
     """Raise InputError when rows with an observation are too far apart, or too near, for seconds.
 
     Args:
-        recording: its times, whatever they were meant to be.
-        length: of the body, m; in pixels and body lengths it is not known in m, and a metre or so is meant.
+        recording: its times in seconds, if that is what they are.
+        length: of the body, m; of pixels and body lengths, whose size in m is unknown, about 1.
         units: what was declared, and where.
     """
     time = recording.time[_observed(recording)]
@@ -53,11 +52,11 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
         raise InputError(
             f"times near {time[0]:.9g} s have too few digits for rows {interval:.3g} s apart: count from the first row"
         )
-    if QUICKEST <= interval <= slowest:
+    if MIN_INTERVAL <= interval <= slowest:
         return
     whole = bool((time == np.round(time)).all()) and interval == 1.0
-    fitting = [unit for unit, size in TIMES.items() if 10 * QUICKEST <= interval * size <= slowest]
-    likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / USUAL)), default=None)
+    fitting = [unit for unit, size in TIMES.items() if 10 * MIN_INTERVAL <= interval * size <= slowest]
+    likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / TYPICAL_INTERVAL)), default=None)
     if whole and units.mapping is None:
         hint = "these look like frame numbers: pass --units frames --fps with the frame rate"
     elif likely is not None:
@@ -73,7 +72,7 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
 
 
 def froude(places: np.ndarray, time: np.ndarray, length: float) -> float:
-    """v²/(g L) of places (T, D), m, at times (T,), s; NaN rows are passed over, and 0 comes of fewer than two."""
+    """v²/(g L) of places (T, D), m, at times (T,), s; NaN rows are skipped; 0 for fewer than two rows."""
     seen = np.isfinite(places).all(axis=-1)
     places, time = places[seen], time[seen]
     if len(time) < 2:
@@ -87,16 +86,16 @@ def froude(places: np.ndarray, time: np.ndarray, length: float) -> float:
 def bridged(recording: Recording, length: float, first: int = 0) -> Recording:
     """Rows without an observation, a frame interval apart, across each step longer than a quarter of a swing.
 
-    A step that long is beyond any integrator and any torque that is held over it; empty rows let the bands widen
-    instead. Commands are held. It is told.
+    So long a step is too large for an integrator with a constant torque; empty rows let the bands widen instead.
+    Commands stay constant. A warning says so.
 
     Args:
         recording: any.
         length: of the body, m.
         first: number, from 0, that its first row has in the file.
 
-    Raises InputError when it would take more rows than were recorded: what lies before and after such a gap has
-    nothing to do with each other.
+    Raises InputError when this would take more rows than were recorded: the parts before and after such a gap are
+    independent.
     """
     time, interval = recording.time, recording.frame_interval
     step = np.diff(time)
@@ -117,11 +116,11 @@ def bridged(recording: Recording, length: float, first: int = 0) -> Recording:
     share = part / (np.append(more, 0)[source] + 1)
     filled = time[source] + share * np.append(step, 0.0)[source]
 
-    def rows(values: Any, held: bool = False) -> Any:
+    def rows(values: Any, constant: bool = False) -> Any:
         if values is None:
             return None
         values = values[source]
-        if not held:
+        if not constant:
             values[part > 0] = np.nan
         return values
 
@@ -135,7 +134,7 @@ def bridged(recording: Recording, length: float, first: int = 0) -> Recording:
         keypoints=rows(recording.keypoints),
         confidence=rows(recording.confidence),
         angles=rows(recording.angles),
-        torques=rows(recording.torques, held=True),
+        torques=rows(recording.torques, constant=True),
     )
 
 

@@ -1,7 +1,7 @@
 """A table that pandas wrote to HDF5, read as data: nothing in the file is run.
 
 pandas reads such files through PyTables, which unpickles a node's attributes as it opens them, so that a file can run
-whatever command it likes. Here h5py reads the arrays. Column labels of pandas' "table" layout are stored pickled; they
+any command. Here h5py reads the arrays. Column labels of pandas' "table" layout are stored pickled; they
 are unpickled with every class and function refused (https://docs.python.org/3/library/pickle.html#restricting-globals),
 which leaves lists, tuples, numbers and text.
 

@@ -1,7 +1,7 @@
-"""Paths as a user gives them: what cannot be one is an error with the path in it, before anything is opened.
+"""Validation of a user's paths before anything is opened; errors contain the path.
 
-A link that leads back to itself and a NUL in a name are no OSError to every Python. A device without end and a pipe
-that nobody fills would be read for ever.
+A loop of links and a NUL in a name are not an OSError in every Python. Reading a device without end or a pipe without a
+writer would never finish.
 """
 
 import errno
@@ -14,7 +14,7 @@ def resolved(path: str | Path) -> Path:
     """The absolute `path`, links followed and ~ expanded; it need not be there.
 
     Raises OSError, with `filename` and `strerror`, for a loop of links, a NUL or what is no UTF-8, a name that is too
-    long, the home of a user whom nobody knows, and a folder that may not be entered.
+    long, the home of an unknown user, and a folder that may not be entered.
     """
     try:
         str(path).encode()  # else no file could say in UTF-8 where it came from
@@ -28,7 +28,7 @@ def resolved(path: str | Path) -> Path:
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ENOTDIR):
             return whole.resolve()
-        what = "its links lead round in a circle" if error.errno == errno.ELOOP else error.strerror
+        what = "its links form a loop" if error.errno == errno.ELOOP else error.strerror
         raise OSError(error.errno, what, str(path)) from None
 
 

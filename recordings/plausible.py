@@ -1,7 +1,7 @@
-"""Whether numbers can be what they are said to be: lengths against a body, angles against its keypoints, pace.
+"""Plausibility of units: lengths against a body, angles against its keypoints, times against its speeds.
 
-A wrong unit is off by a factor of 10 or far more; what is refused here is off by more than any real recording at hand.
-What was declared (`--units`) is believed where nothing but its size speaks against it.
+A wrong unit changes numbers by a factor of 10 or more. Refused are differences larger than those of all real recordings
+at hand. A declared unit (`--units`) is accepted where only the size of numbers contradicts it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -11,30 +11,30 @@ import numpy as np
 
 from .errors import InputError
 from .exchanged_names import check_names
-from .pace import FASTEST, check_interval, froude
+from .pace import MAX_FROUDE, check_interval, froude
 from .recording import Recording
 from .units import METRES, RADIANS, Units, median_distances
 
-LARGEST_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
-LARGEST_ANGLE = 50.0  # rad, eight turns of a joint; degrees exceed it
-WORST_LINK_RATIO = 3.0  # observed over given link length, or the other way; a wrong unit is off by far more
-LONGEST_LINK_RATIO = 1.5  # of a length that is a plain number: a picture only shortens, markers and lenses do a fifth
-WORST_BODY_LENGTH = 0.2  # of a body whose lengths are shares of its own
+MAX_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
+MAX_ANGLE = 50.0  # rad, eight revolutions of a joint; degrees exceed it
+MAX_LENGTH_RATIO = 3.0  # observed over given link length, or its inverse, for an uncertain length
+MAX_KNOWN_LENGTH_RATIO = 1.5  # the same for an exact length: a picture only shortens; markers and lenses change a fifth
+MAX_BODY_LENGTH_ERROR = 0.2  # of a body whose lengths are fractions of its own
 BASE = "the base"
-"""Name of the first joint's place, which is no keypoint."""
-OFF, CLOSE = 0.5, 0.15  # rad, medians of an angle that is not what keypoints show, and of one that is
+"""Name of the first joint's position, which is no keypoint."""
+MIN_WRONG, MAX_RIGHT = 0.5, 0.15  # rad, median difference from the keypoints' directions in the wrong and right unit
 
 
 def check_magnitudes(recording: Recording, units: Units) -> None:
-    """Raise InputError when lengths are too large for metres, or angles for radians that nobody declared."""
-    if recording.length_unit == "m" and (extent := _extent(recording)) > LARGEST_EXTENT:
+    """Raise InputError when lengths are too large for metres, or undeclared angles for radians."""
+    if recording.length_unit == "m" and (extent := _extent(recording)) > MAX_EXTENT:
         raise InputError(
             f"keypoints spread over {extent:.3g} m, too much for one body; "
             + (_odd_columns(recording) or "these look like pixels: pass --units px (or mm, cm)")
         )
     if units.angle is None and recording.angles is not None:
         largest = np.nanmax(np.abs(recording.angles), initial=0.0)
-        if largest > LARGEST_ANGLE:
+        if largest > MAX_ANGLE:
             raise InputError(
                 f"angles reach {largest:.3g}, too much for radians; these look like degrees: "
                 f"{units.put('deg')} ({units.accepts('rad')} if radians they are)"
@@ -47,7 +47,7 @@ def check_shifts(recording: Recording, slides: Collection[str], units: Units) ->
         return
     for name, shift in zip(recording.joint_names, recording.angles.T, strict=True):
         known = shift[np.isfinite(shift)]
-        if name in slides and known.size and (extent := float(np.ptp(known))) > LARGEST_EXTENT:
+        if name in slides and known.size and (extent := float(np.ptp(known))) > MAX_EXTENT:
             line = f'write unit = "mm" (or "cm") in the line "angle = …" of [joints.{name}] in {units.mapping}'
             raise InputError(
                 f"joint {name} shifts by {extent:.3g} m, too much for one body; these look like mm or cm: "
@@ -62,12 +62,12 @@ def check_plausible(
     units: Units | None = None,
     guessed: bool = False,
 ) -> None:
-    """Compare a recording with a body: distances, its own clock, angles with keypoints. A wrong unit shows at once.
+    """Compare a recording with a body: distances, times and speeds, and angles with keypoints.
 
     Args:
         recording: keypoints along the chain: the K links' tips, or the base and then the K tips; angles of K joints.
         link_lengths: K lengths, in the recording's unit.
-        base: place of the first joint in the recording's frame, when it is not itself a keypoint; None leaves the
+        base: position of the first joint in the recording's frame, when it is not itself a keypoint; None leaves the
             first link unchecked.
         units: what the file's numbers were declared to be.
         guessed: lengths are to be learned, or uncertain.
@@ -75,14 +75,14 @@ def check_plausible(
     Raises:
         InputError: a distance that is off by more than a factor of 3, or too large by more than 1.5 for a length that
             is not guessed; names of two keypoints that are exchanged (:mod:`.exchanged_names`); times or speeds that
-            are not this body's (:mod:`.pace`); angles that are the keypoints' in the other unit. Of keypoints that are
-            in pixels or not this chain only the times are compared.
+            are not this body's (:mod:`.pace`); angles that fit the keypoints in the other unit. With keypoints in
+            pixels or of another chain only the times are checked.
     """
     units = units or Units()
     lengths, total = list(link_lengths), float(sum(link_lengths))
     if recording.length_unit == "px":
         total = 1.0  # of an arm whose size is not known, at most
-    if recording.length_unit == "body length" and abs(total - 1) > WORST_BODY_LENGTH:
+    if recording.length_unit == "body length" and abs(total - 1) > MAX_BODY_LENGTH_ERROR:
         raise InputError(
             f"keypoints are in body lengths, but this body's links are {total:.3g} long together: "
             "give lengths that add up to 1, or scale the keypoints by the body's own length"
@@ -114,16 +114,16 @@ def check_in_space(
     base: Sequence[float] | None = None,
     farthest: float = np.inf,
 ) -> None:
-    """Compare a recording with a body of any shape: distances that no motion changes, its clock, its pace.
+    """Compare a recording with a body of any shape: constant distances, times and speeds.
 
     Args:
         recording: keypoints and angles, any of the body's.
         reach: of the body, m.
-        distances: by two keypoints' names, m, of points that keep it; `BASE` is where the first joint is.
-        levers: by joint, m, how far a turn of it by a radian moves some point; none of joints that shift.
+        distances: by two keypoints' names, m, of points at a constant distance; `BASE` is the first joint.
+        levers: by joint, m, how far a rotation by one radian moves some point; without joints that shift.
         units: what the file's numbers were declared to be.
         guessed: distances are to be learned, or uncertain.
-        base: place of the first joint in the recording's frame, m, of a body that only turns about it; None of another.
+        base: place of the first joint in the recording's frame, m, of a body that only rotates about it; else None.
         farthest: that a point of such a body may be from there, m.
 
     Raises:
@@ -137,7 +137,7 @@ def check_in_space(
         known[BASE] = np.broadcast_to(np.asarray(base), (recording.num_frames, 3))
         for name in recording.keypoint_names:
             (observed,) = median_distances(np.stack([known[BASE], known[name]], axis=1))
-            if observed > (WORST_LINK_RATIO if guessed else LONGEST_LINK_RATIO) * farthest:
+            if observed > (MAX_LENGTH_RATIO if guessed else MAX_KNOWN_LENGTH_RATIO) * farthest:
                 raise InputError(
                     f"{name} lies {observed:.3g} m from the base (median), and the body reaches {farthest:.3g} m at "
                     "most: check --units, or pass --base with the keypoint at the first joint, if the recording has "
@@ -155,9 +155,9 @@ def check_in_space(
 
 
 def _odd_columns(recording: Recording) -> str:
-    """What to do where some columns are in a smaller unit than the others, by their sizes; "" where none are.
+    """Advice where some columns seem to be in a smaller unit than the others; "" where none are.
 
-    Centimetres among metres are a hundred times as large, give or take what a link may be off by.
+    Centimetres among metres are a hundred times as large, up to `MAX_LENGTH_RATIO`.
     """
     columns = {
         f"{name}_{'xyz'[axis]}": np.median(np.abs(values[np.isfinite(values)]))
@@ -168,7 +168,7 @@ def _odd_columns(recording: Recording) -> str:
     ranked = sorted(columns, key=lambda name: columns[name])
     for one, other in pairwise(ranked):
         small, large = columns[one], columns[other]
-        if small > 0 and large * METRES["cm"] * WORST_LINK_RATIO >= small * METRES["m"]:
+        if small > 0 and large * METRES["cm"] * MAX_LENGTH_RATIO >= small * METRES["m"]:
             odd, rest = ranked[ranked.index(other) :], ranked[: ranked.index(other)]
             what = f"{', '.join(odd)} {'is' if len(odd) == 1 else 'are'} about {large:.3g}"
             return (
@@ -180,11 +180,11 @@ def _odd_columns(recording: Recording) -> str:
 
 def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, recording: Recording) -> None:
     unit = recording.length_unit
-    longest = WORST_LINK_RATIO if guessed else LONGEST_LINK_RATIO
-    if np.isfinite(observed) and not 1 / WORST_LINK_RATIO <= observed / length <= longest:
+    longest = MAX_LENGTH_RATIO if guessed else MAX_KNOWN_LENGTH_RATIO
+    if np.isfinite(observed) and not 1 / MAX_LENGTH_RATIO <= observed / length <= longest:
         usual = (
             "check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
-            f"{WORST_LINK_RATIO:g}"
+            f"{MAX_LENGTH_RATIO:g}"
         )
         raise InputError(
             f"{ends[0]} and {ends[1]} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} "
@@ -193,7 +193,7 @@ def _check_length(ends: tuple[str, str], observed: float, length: float, guessed
 
 
 def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float, units: Units) -> None:
-    if (number := froude(length * angle[:, None], time, length)) > FASTEST:
+    if (number := froude(length * angle[:, None], time, length)) > MAX_FROUDE:
         raise InputError(
             f"joint {joint} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
             f"{number:.3g} times gravity. These look like degrees: {units.put('deg')}. If they are radians, "
@@ -220,7 +220,7 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
             _check_turning(name, angle, recording.time, length, units)
     if chain is not None and units.time is None:
         for k, length in enumerate(lengths):
-            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > FASTEST:
+            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > MAX_FROUDE:
                 raise InputError(
                     f"{recording.keypoint_names[k - len(lengths)]} moves too fast: in a quarter of the rows it feels "
                     f"{number:.3g} times gravity about the joint before it. Check --fps, and that times are seconds; "
@@ -229,7 +229,7 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
 
 
 def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> None:
-    """Angles against the links' directions, in the unit said and in the other one."""
+    """Check angles against the links' directions, in the declared unit and in the other one."""
     links = np.diff(chain, axis=1)
     if links.shape[-1] != 2:
         return
@@ -240,11 +240,11 @@ def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> Non
         wrapped = np.abs((difference + np.pi) % (2 * np.pi) - np.pi)
         return float(np.median(wrapped[np.isfinite(wrapped)])) if np.isfinite(wrapped).any() else np.nan
 
-    said = units.angle or "rad"
-    other = "deg" if said == "rad" else "rad"
-    if off(1.0) > OFF and off(RADIANS[other] / RADIANS[said]) < CLOSE:
+    declared = units.angle or "rad"
+    other = "deg" if declared == "rad" else "rad"
+    if off(1.0) > MIN_WRONG and off(RADIANS[other] / RADIANS[declared]) < MAX_RIGHT:
         raise InputError(
-            f"angles taken as {said} are {off(1.0):.2g} rad (median) from the directions that the keypoints show, "
+            f"angles taken as {declared} are {off(1.0):.2g} rad (median) from the directions that the keypoints show, "
             f"taken as {other} they fit: {units.put(other)}"
         )
 

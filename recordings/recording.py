@@ -70,7 +70,7 @@ class Recording:
         confidence: (T, P) the tracker's own score, any scale, or None.
         angles: (T, K) rad, Denavit–Hartenberg (θ₁ from the x axis, each further one relative to its parent,
             counter-clockwise), NaN = missing, or None without encoders.
-        torques: (T, K) N·m, the commanded torque, held until the next row; NaN = not known; or None.
+        torques: (T, K) N·m, the commanded torque, constant until the next row; NaN = not known; or None.
         joint_names: K names; () when neither angles nor torques are known.
         name: said in figures and messages.
         length_unit: "m", "px", or "body length" after normalisation.

@@ -1,4 +1,4 @@
-"""Comma-separated tables of numbers, read so strictly that every complaint names its row and column.
+"""Comma-separated tables of numbers; every error names its row and column.
 
 A table is a header line and rows of numbers; an empty cell (or `nan`) is missing. The columns come back as
 float64 arrays in the file's order, with a function that turns a 0-based row into words ("row 3 (line 4)").
@@ -70,7 +70,7 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
         numbers = np.array([[_number(cell) for cell in cells] for _, cells in rows])
     except ValueError:
         numbers = np.array([np.inf])
-    if np.isinf(numbers).any():  # go through them again, slowly, to say which cell it was
+    if np.isinf(numbers).any():  # again, cell by cell, for the place of the wrong one
         for i, (_, cells) in enumerate(rows):
             for column, cell in zip(columns, cells, strict=True):
                 _check_cell(cell, f"{where(i)}, column {column!r}")
@@ -91,8 +91,8 @@ def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], Callable[[int],
 class Columns(Mapping[str, np.ndarray]):
     """A table's columns that have a name, each turned into numbers when it is looked up.
 
-    A column of words, or one without a name, does not matter to whoever needs others. Raises InputError as above for
-    a table that is none, and where a column is looked up for a name that the header has twice.
+    Columns of words, or without a name, are allowed unless they are looked up. Raises InputError as above for another
+    kind of file, and at a look-up for a name that the header has twice.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -157,7 +157,7 @@ def write_table(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
 
 
 def _number(cell: str) -> float:
-    if "_" in cell:  # Python reads 1_5 as 15, nobody else does
+    if "_" in cell:  # Python alone reads 1_5 as 15
         raise ValueError
     return float(cell) if cell else np.nan
 

@@ -1,7 +1,7 @@
-"""Units are declared, and converted here once; they are never guessed (:mod:`.plausible` checks them).
+"""Conversion of declared units to SI; units are never guessed (:mod:`.plausible` checks them).
 
-Lengths become metres, angles radians and times seconds. Pixels point down the image: y ↦ −y turns them up (the image's
-height is not known, and only shifts the origin); they stay pixels unless a scale in metres a pixel is given.
+Lengths become metres, angles radians and times seconds. Pixels point down the image: y ↦ −y makes them point up (the
+image's height is not known, and only shifts the origin); they stay pixels unless a scale in metres a pixel is given.
 """
 
 from collections.abc import Collection, Sequence
@@ -21,7 +21,7 @@ KINDS = {"length": (*METRES, "px"), "angle": tuple(RADIANS), "time": (*TIMES, FR
 
 @dataclass(frozen=True)
 class Units:
-    """What a file's numbers mean: of `KINDS`, None = not declared; and where that stands.
+    """The declared units of a file's numbers, of `KINDS`, None = not declared; and where they are declared.
 
     `mapping` is the file that declares them for a robot's log, None for the option `--units`.
     """
@@ -32,7 +32,7 @@ class Units:
     mapping: str | None = None
 
     def put(self, unit: str, tracks: Sequence[str] = ("angle",)) -> str:
-        """What to do where numbers, of a mapping's ``tracks``, are in another ``unit``: "pass --units deg"."""
+        """How to declare another ``unit`` for numbers of a mapping's ``tracks``: "pass --units deg"."""
         if self.mapping is None:
             return f"pass --units {unit}"
         if unit in TIMES:
@@ -41,7 +41,7 @@ class Units:
         return f'write unit = "{unit}" in each line {lines} of {self.mapping}'
 
     def accepts(self, unit: str) -> str:
-        """What says that numbers are in this ``unit``, whatever their size: "--units rad"."""
+        """How to declare this ``unit`` regardless of the numbers' size: "--units rad"."""
         if self.mapping is None:
             return f"--units {unit}"
         return f'time_unit = "{unit}" in {self.mapping}' if unit in TIMES else f'unit = "{unit}" in {self.mapping}'
@@ -76,11 +76,11 @@ def to_si(
     """Convert numbers as they stand in a file.
 
     Args:
-        recording: numbers in `units`, whatever its `length_unit` says.
+        recording: numbers in `units`; its `length_unit` is ignored.
         units: a missing length means m, a missing angle rad, a missing time s.
         scale: metres a pixel; without it pixels stay pixels, with y up.
         fps: frames a second, of times that are numbers of frames.
-        shifting: joints that shift, whose positions are in m whatever the unit of angles.
+        shifting: joints that shift, whose positions are in m for all units of angles.
 
     Raises:
         InputError: a scale that is not positive, or without pixels; pixels in three dimensions.

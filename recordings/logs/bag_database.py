@@ -3,8 +3,8 @@
     topics    id, name, type, serialization_format
     messages  topic_id, timestamp (ns), data
 
-A database may hold programs: views, virtual tables and generated columns compute what is read, without end if they
-like. Ordinary tables alone are read. A value's size is known before it is read, and a query has a number of steps.
+A database may contain programs: views, virtual tables and generated columns compute what is read, possibly without end.
+Ordinary tables alone are read. A value's size is checked before it is read, and the steps of all queries are limited.
 """
 
 import os
@@ -14,21 +14,20 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from ..budget import MEMORY, MESSAGE, STEPS, TRACKS
+from ..budget import LIMITS
 from ..errors import InputError
 from .mcap_file import decoders, plain
 from .messages import Collected, known
 from .tracks import needed
 
 TABLES = ("topics", "messages")
-BETWEEN = 1_000_000
-"""Steps after which their number is looked at."""
+STEPS_BETWEEN_CHECKS = 1_000_000
 
 
 def collect_database(path: Path, found: Collected, packed: bool) -> None:
     """Add the messages of a database; `packed` where each is compressed by zstd.
 
-    Raises InputError for tables that are none and values of other types, sqlite3.Error for a broken file.
+    Raises InputError for views in place of tables and values of other types, sqlite3.Error for a broken file.
     """
     try:
         decode = decoders()["cdr"]
@@ -44,7 +43,7 @@ def collect_database(path: Path, found: Collected, packed: bool) -> None:
         for topic, name, kind in _topics(database, found):
             rows = database.execute(
                 "SELECT typeof(timestamp), timestamp, typeof(data), length(data), "
-                f"CASE WHEN length(data) <= {MESSAGE} THEN data END FROM messages WHERE topic_id = ?",
+                f"CASE WHEN length(data) <= {LIMITS.message} THEN data END FROM messages WHERE topic_id = ?",
                 (topic,),
             )
             for time_type, logged, data_type, size, data in rows:
@@ -53,7 +52,7 @@ def collect_database(path: Path, found: Collected, packed: bool) -> None:
                         f"expected time stamps as integers and data as blobs, a message of {name!r:.60} has "
                         f"{time_type} and {data_type}"
                     )
-                found.budget.piece(size, f"a message of {name!r:.60}", MESSAGE)
+                found.budget.piece(size, f"a message of {name!r:.60}", LIMITS.message)
                 if not found.wants(name):
                     break
                 found.add(name, kind, decode(plain(data, found) if packed else data, kind), logged)
@@ -66,17 +65,17 @@ def _bounded(database: sqlite3.Connection) -> Iterator[None]:
 
     def count() -> bool:
         nonlocal steps
-        steps += BETWEEN
-        return steps > STEPS  # true ends the query with "interrupted"
+        steps += STEPS_BETWEEN_CHECKS
+        return steps > LIMITS.query_steps  # true ends the query with "interrupted"
 
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MEMORY)
-    database.set_progress_handler(count, BETWEEN)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LIMITS.memory)
+    database.set_progress_handler(count, STEPS_BETWEEN_CHECKS)
     try:
         yield
     except sqlite3.OperationalError as error:
-        if steps <= STEPS:
+        if steps <= LIMITS.query_steps:
             raise
-        raise InputError(f"its tables take more than {STEPS:.0e} steps to read: it is damaged") from error
+        raise InputError(f"its tables take more than {LIMITS.query_steps:.0e} steps to read: it is damaged") from error
 
 
 def _check_ordinary(database: sqlite3.Connection, table: str) -> None:
@@ -97,9 +96,9 @@ def _topics(database: sqlite3.Connection, found: Collected) -> Iterator[tuple[in
     longest = "max(length(name), length(type), length(serialization_format))"
     rows = database.execute(
         f"SELECT id, name, type, serialization_format FROM topics WHERE coalesce({longest}, 0) <= 1000"
-    ).fetchmany(TRACKS + 1)
-    if len(rows) > TRACKS:
-        raise InputError(f"expected at most {TRACKS} topics, it has more")
+    ).fetchmany(LIMITS.tracks + 1)
+    if len(rows) > LIMITS.tracks:
+        raise InputError(f"expected at most {LIMITS.tracks} topics, it has more")
 
     for number, *texts in rows:
         if not isinstance(number, int) or not all(isinstance(text, str) for text in texts):

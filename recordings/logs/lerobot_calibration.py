@@ -2,8 +2,8 @@
 
     {"elbow_flex": {"id": 3, "drive_mode": 0, "homing_offset": 12, "range_min": 900, "range_max": 3100}, …}
 
-Feetech's STS and Dynamixel's X motors, which its arms have, count 4096 ticks a turn. LeRobot scales a tick t between
-`range_min` and `range_max` to −100 … 100, of a gripper to 0 … 100, and takes both the other way round where
+Feetech's STS and Dynamixel's X motors, which its arms have, count 4096 ticks a revolution. LeRobot scales a tick t
+between `range_min` and `range_max` to −100 … 100, of a gripper to 0 … 100, and takes both the other way round where
 `drive_mode` is 1 (`lerobot/motors/motors_bus.py`, `_normalize`). The middle of the range is its zero. So the range is
 
     ± π (range_max − range_min)/4096 rad,     low > high where drive_mode is 1.
@@ -14,17 +14,16 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
-from ..budget import YAML, read_document
+from ..budget import LIMITS, read_document
 from ..errors import InputError
 
-TICKS = 4096
-"""A turn."""
+TICKS = 4096  # of a revolution
 
 
 def calibrated_range(path: Path, track: str, where: str) -> tuple[float, float]:
-    """The range, rad about its middle, of the motor that ``track`` is named after: "observation.state.elbow_flex.pos".
+    """Range, rad about its middle, of the motor in the name of ``track``: "observation.state.elbow_flex.pos".
 
-    Raises InputError for what is no such file, or none of its motors' names or several in the track's; OSError where it
+    Raises InputError for another file, or a track whose name has none of its motors' or several; OSError where it
     cannot be read.
     """
     motors = _motors(path, where)
@@ -46,10 +45,10 @@ def calibrated_range(path: Path, track: str, where: str) -> tuple[float, float]:
 
 
 def _motors(path: Path, where: str) -> dict[str, Any]:
-    """What a calibration has of each motor."""
+    """Table of each motor in a calibration."""
     if not path.is_file():
         raise InputError(f"{where}: no calibration {path}: expected LeRobot's .json, or range = [low, high]")
-    text = read_document(path, YAML)
+    text = read_document(path, LIMITS.yaml)
     try:
         motors = json.loads(text)
     except (ValueError, RecursionError):

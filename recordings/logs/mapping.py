@@ -1,4 +1,4 @@
-"""Which track of a log is which joint's angle, torque or target: a mapping in TOML.
+"""A mapping in TOML: which track of a log is which joint's angle, torque or target.
 
     time = "t"                       # a table's column of times; "time" if not said
     time_unit = "ms"                 # s if not said
@@ -9,9 +9,10 @@
     [joints.hand]
     angle  = {track = "h", range = [0, 0.8], ends = [0, 100]}        # rad where the log has 0, and where it has 100
 
-Angles, torques and targets are those of the robot's own file, as it counts them. A gear turns what the motor has into
-what the joint has: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). A `range` [a, b] is of
-numbers that say how far a joint is in its own, by `ends` [c, d] of −100 and 100 unless said, as LeRobot has them:
+Angles, torques and targets are those of the robot's own file, as it counts them. A gear converts the motor's
+quantities to the joint's: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). A `range` [a, b]
+is of numbers that say how far a joint is in its own, by `ends` [c, d] of −100 and 100 unless said, as LeRobot has
+them:
 
     rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
 
@@ -35,7 +36,7 @@ from .lerobot_calibration import calibrated_range
 from .tracks import Episode, Needed, Track, track
 
 ENDS = (-100.0, 100.0)
-"""Numbers that a log has at the ends of a joint's range."""
+"""A log's numbers at the ends of a joint's range."""
 ANGLES = {**RADIANS, "rev": 2 * np.pi, "rad/s": 1.0, "deg/s": RADIANS["deg"], "rpm": 2 * np.pi / 60}
 SHIFTS = {**METRES, "m/s": 1.0, "cm/s": METRES["cm"], "mm/s": METRES["mm"]}
 TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.0980665, "A": 1.0, "mA": 1e-3}
@@ -52,7 +53,7 @@ KEYS = {
 class Source:
     """A track and what makes SI units of its values: (value − origin) · factor + offset.
 
-    `unit` is the one that was said, if any. `gear` is part of the factor already, and `ranged` says whether a range is.
+    `unit` is the declared one, if any. `gear` is part of the factor already, and `ranged` says whether a range is.
     """
 
     track: str
@@ -159,8 +160,8 @@ class LogMap:
         angles = [table["angle"] for table in joints.values() if "angle" in table]
         own = cls(found, time, TIMES[unit])
         every = all(isinstance(each, dict) and ("unit" in each or "range" in each) for each in angles)
-        said = {"angle": "rad" if every else None, "time": unit if "time_unit" in tables else None}
-        return replace(own, units=replace(own.units, **said))
+        declared = {"angle": "rad" if every else None, "time": unit if "time_unit" in tables else None}
+        return replace(own, units=replace(own.units, **declared))
 
     @classmethod
     def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":

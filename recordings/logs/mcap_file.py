@@ -2,7 +2,7 @@
 
 A file is records, each an opcode (1 byte), a length (8 bytes) and so many bytes. They are walked from the first to the
 last, and every length is compared with the bytes that are left before anything is read. Records that are not needed are
-passed over. A chunk holds records too, compressed; it is unpacked as far as its stated size, and no further.
+skipped. A chunk contains compressed records; it is unpacked up to its stated size.
 
 As in a bag (:mod:`.ros_bag`), messages are read by the definitions that `rosbags` brings along, not by the file's own.
 """
@@ -15,7 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..budget import DOCUMENT, MESSAGE, PIECE, Budget
+from ..budget import LIMITS, Budget
 from ..errors import InputError, readable
 from ..paths import check_readable
 from .messages import Collected, known
@@ -29,7 +29,8 @@ SCHEMA, CHANNEL, MESSAGES, CHUNK, END = 3, 4, 5, 6, (2, 15)
 def read_mcap(path: Path, time: str | None = None, tracks: Needed | None = None) -> list[Episode]:
     """The tracks of a file's messages that are known (:mod:`.messages`).
 
-    Raises InputError for what is no MCAP, is beyond the budget or has no such message; OSError where it cannot be read.
+    Raises InputError for another kind of file, one beyond the budget or without such messages; OSError where it cannot
+    be read.
     """
     with open(check_readable(path), "rb"), readable(path, "an MCAP file"):
         found = Collected(tracks, Budget(path.stat().st_size))
@@ -40,7 +41,7 @@ def read_mcap(path: Path, time: str | None = None, tracks: Needed | None = None)
 def collect_mcap(path: Path, found: Collected, packed: bool = False) -> None:
     """Add a file's messages; `packed` where each is compressed by zstd, as in a bag.
 
-    Raises InputError, and what `mcap` and `rosbags` raise for a broken file.
+    Raises InputError, and the errors of `mcap` and `rosbags` for a broken file.
     """
     try:
         read = _Messages(found, packed)
@@ -54,7 +55,7 @@ def collect_mcap(path: Path, found: Collected, packed: bool = False) -> None:
 
 
 class _Exact(BytesIO):
-    """The content of a record: whoever reads on behind its end gets an error instead of less."""
+    """The content of a record: reading beyond its end raises an error."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > (left := len(self.getbuffer()) - self.tell()):
@@ -63,7 +64,7 @@ class _Exact(BytesIO):
 
 
 class _Messages:
-    """Schemas and channels so far, and where messages go."""
+    """Reads records: schemas and channels so far, and messages."""
 
     def __init__(self, found: Collected, packed: bool) -> None:
         from mcap import data_stream, records
@@ -81,10 +82,10 @@ class _Messages:
         for opcode, size in _walk(file, end):
             self._found.budget.record()
             if opcode == SCHEMA:
-                schema = self._read(self._records.Schema, _content(file, size, "a schema", DOCUMENT))
+                schema = self._read(self._records.Schema, _content(file, size, "a schema", LIMITS.document))
                 self._schemas[schema.id] = schema.name
             elif opcode == CHANNEL:
-                channel = self._read(self._records.Channel, _content(file, size, "a channel", DOCUMENT))
+                channel = self._read(self._records.Channel, _content(file, size, "a channel", LIMITS.document))
                 self._channels[channel.id] = channel
             elif opcode == MESSAGES:
                 self._message(file, size)
@@ -105,12 +106,12 @@ class _Messages:
         if kind is None or decode is None:
             self._found.skip(name or "no type", channel.message_encoding)
         elif self._found.wants(channel.topic):
-            content = _content(file, size - 22, f"a message of {channel.topic:.60}", MESSAGE)
+            content = _content(file, size - 22, f"a message of {channel.topic:.60}", LIMITS.message)
             content = plain(content, self._found) if self._packed else content
             self._found.add(channel.topic, kind, decode(content, kind), logged)
 
     def _chunk(self, file: BinaryIO, size: int) -> None:
-        chunk = self._read(self._records.Chunk, _content(file, size, "a chunk", PIECE))
+        chunk = self._read(self._records.Chunk, _content(file, size, "a chunk", LIMITS.chunk))
         self._found.budget.piece(chunk.uncompressed_size, "a chunk")
         self._found.budget.unpack(chunk.uncompressed_size, "it")
 
@@ -160,8 +161,8 @@ def unpacked(data: bytes, compression: str, limit: int) -> bytes:
 
 def plain(content: bytes, found: Collected) -> bytes:
     """A message that is compressed by itself. Raises InputError beyond the budget."""
-    message = unpacked(content, "zstd", MESSAGE)
-    found.budget.piece(len(message), "a message, unpacked,", MESSAGE)
+    message = unpacked(content, "zstd", LIMITS.message)
+    found.budget.piece(len(message), "a message, unpacked,", LIMITS.message)
     found.budget.unpack(len(message), "it")
     return message
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..budget import TRACKS, Budget
+from ..budget import LIMITS, Budget
 from ..errors import InputError, first_line
 from .tracks import Episode, Needed, Track
 
@@ -30,19 +30,20 @@ PACKAGES = {
 TARGETS = ("JointTrajectory",)
 QUANTITIES = ("position", "velocity", "effort")
 POINT = {"position": "positions", "velocity": "velocities", "effort": "effort"}
-WORTH = 16
-"""Numbers that a message counts for, at least: it takes as long to read."""
-PAUSE = 10
-"""Median intervals between a stamp of 0 and the next one, at most, where 0 is a time."""
+MAX_FIRST_INTERVAL = 10
+"""Median intervals from a stamp of 0 to the next one, at most, if 0 is a time."""
 
 
 Layout = tuple[tuple[str, tuple[str, ...] | int], ...]
-"""What a message's numbers are: quantities with the joints that have them, or "" and how many there are."""
+"""The meaning of a message's numbers: quantities with their joints, or "" and the count."""
 
 
 @dataclass
 class _Topic:
-    """Messages' stamps and times of logging, ns; of each layout the numbers of its messages, and values one by one."""
+    """Messages' stamps and times of logging, ns.
+
+    Of each layout the indices of its messages, and their values in a row.
+    """
 
     target: bool
     stamps: array = field(default_factory=lambda: array("q"))
@@ -50,7 +51,7 @@ class _Topic:
     layouts: dict[Layout, tuple[array, array]] = field(default_factory=dict)
 
     def tracks(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Each track's name, the numbers (N,) of its messages and values (N,)."""
+        """Each track's name, the indices (N,) of its messages and values (N,)."""
         parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
         for layout, (rows, values) in self.layouts.items():
             own, matrix = np.array(rows), np.array(values).reshape(len(rows), -1)
@@ -89,8 +90,8 @@ class Collected:
         return self._needed is None or self._needed.source(topic) or topic not in self._topics
 
     def skip(self, kind: str, encoding: str) -> None:
-        """Take note of messages that are not read."""
-        if len(self._skipped) < TRACKS:
+        """Record the type of messages that are not read."""
+        if len(self._skipped) < LIMITS.tracks:
             self._skipped[f"{kind:.60} ({encoding or 'no encoding':.20})"] = None
 
     def add(self, topic: str, kind: str, message: Any, logged: int) -> None:
@@ -102,14 +103,14 @@ class Collected:
         own = self._topics.setdefault(topic, _Topic(name in TARGETS))
         try:
             stamp, (layout, values) = _stamp(message), _numbers(name, message)
-            self.budget.count(max(len(values), WORTH))
+            self.budget.count(max(len(values), LIMITS.message_numbers))
             if not len(values):
                 return
 
             if layout not in own.layouts:
                 self._count += len(values)
-                if self._count > TRACKS:
-                    raise InputError(f"it has more than {TRACKS} tracks: export fewer topics")
+                if self._count > LIMITS.tracks:
+                    raise InputError(f"it has more than {LIMITS.tracks} tracks: export fewer topics")
                 own.layouts[layout] = array("I"), array("d")
             rows, numbers = own.layouts[layout]
             rows.append(len(own.stamps))
@@ -143,7 +144,7 @@ def _times(own: _Topic, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Times (N,) ns of a topic's messages, and which of them (N,) have one.
 
     A stamp of 0 is a time where a simulation starts: one message, soon before the next. Several such, or one long
-    before the rest, were sent before the first message of the clock, and have no time.
+    before the rest, precede the first message of the clock, and have no time.
     """
     stamps, logged = np.array(own.stamps), np.array(own.logged)
     without = stamps == 0
@@ -152,7 +153,7 @@ def _times(own: _Topic, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
     rest = np.sort(stamps[~without])
     interval = float(np.median(np.diff(rest))) if len(rest) > 1 else 0.0
-    if without.sum() == 1 and abs(rest[0]) <= PAUSE * interval:
+    if without.sum() == 1 and abs(rest[0]) <= MAX_FIRST_INTERVAL * interval:
         return stamps, np.ones(len(stamps), dtype=bool)
     if without.any():
         warnings.warn(
@@ -183,7 +184,7 @@ def _stamp(message: Any) -> int:
 
 
 def _numbers(kind: str, message: Any) -> tuple[Layout, np.ndarray]:
-    """A message's numbers (N,), and what they are."""
+    """A message's numbers (N,), and their layout."""
     if kind == "JointState":
         return _of_joints(_of(message, "name"), {name: _of(message, name) for name in QUANTITIES})
     if kind == "JointTrajectory":

@@ -44,7 +44,7 @@ def kind_of(path: Path) -> str | None:
 
 
 def read_log(path: str | Path, time: str | None = None, needed: Needed | None = None) -> list[Episode]:
-    """A log's tracks, ``time`` by the column of that name; of tracks that are not ``needed``, the names alone.
+    """A log's tracks, ``time`` by the column of that name; of tracks that are not ``needed`` the names alone.
 
     Raises InputError for a kind that is not known or one that costs more than its budget (:mod:`..budget`), OSError
     where it cannot be read.
@@ -68,8 +68,8 @@ def recordings_of(
 ) -> list[Logged]:
     """A log's episodes as recordings of ``joints``; all of them, or those of the numbers given.
 
-    Rows are all times at which an angle or a command was logged; commands are held, and an angle stays missing in a row
-    that has none of its own. ``scales`` are :meth:`.LogMap.rescaled`'s, of units other than the mapping's.
+    Rows are all times at which an angle or a command was logged; commands stay constant, and an angle stays missing in
+    a row that has none of its own. ``scales`` are :meth:`.LogMap.rescaled`'s, of units other than the mapping's.
     Raises InputError for a log that is none, and tracks or episodes that it lacks.
     """
     needed = Needed(ends=tuple(f".{j}.{end}" for j in joints for end in BY_NAME.values()))
@@ -99,7 +99,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
     rows = rows[np.append(True, np.diff(rows) > TOGETHER)]
     _check_pause(rows)
     commands = [each for each in (*torques, *targets) if each is not None]
-    # before the first command nobody knows what drove it
+    # before the first command the torque is unknown
     begin = max((float(each.time[0]) for each in commands), default=rows[0])
     rows = rows[rows >= begin - TOGETHER]
     nothing = np.full(len(rows), np.nan)

@@ -1,6 +1,6 @@
 """ROS 2 bags: a folder with metadata.yaml and the SQLite or MCAP files that it names; no ROS is needed.
 
-Only ordinary files that lie in the folder itself are read: no link and no pipe, and a name is never decoded. Messages
+Only ordinary files in the folder itself are read: no link and no pipe. Messages
 are read by the definitions that `rosbags` brings along. A bag's own would be compiled to Python and run.
 """
 
@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
-from ..budget import YAML, Budget, read_document
+from ..budget import LIMITS, Budget, read_document
 from ..errors import InputError, about, readable
 from .bag_database import collect_database
 from .mcap_file import collect_mcap
@@ -20,13 +20,13 @@ from .messages import Collected
 from .tracks import Episode, Needed, needed
 
 STORAGES = {"sqlite3": collect_database, "mcap": collect_mcap}
-ABOUT = "metadata.yaml"
+METADATA = "metadata.yaml"
 
 
 def read_bag(path: Path, time: str | None = None, tracks: Needed | None = None) -> list[Episode]:
     """The tracks of a bag's messages that are known (:mod:`.messages`).
 
-    Raises InputError for what is no bag, a file of it that is no ordinary one in its folder, and beyond the budget.
+    Raises InputError for another kind of folder, a file that is no ordinary one in it, and beyond the budget.
     """
     with readable(path, "a ROS 2 bag"):
         table = _metadata(path)
@@ -51,13 +51,13 @@ def _metadata(path: Path) -> dict[str, Any]:
     except ImportError as error:
         raise InputError(needed("rosbags", "a ROS 2 bag")) from error
 
-    whole = Parser(typ="safe", pure=True).load(read_document(_inside(path, ABOUT), YAML).decode())
+    whole = Parser(typ="safe", pure=True).load(read_document(_inside(path, METADATA), LIMITS.yaml).decode())
     table = whole.get("rosbag2_bagfile_information") if isinstance(whole, dict) else None
     files = table.get("relative_file_paths") if isinstance(table, dict) else None
     if not isinstance(table, dict) or not isinstance(files, list):
-        raise InputError(f"expected rosbag2_bagfile_information with relative_file_paths in {ABOUT}")
+        raise InputError(f"expected rosbag2_bagfile_information with relative_file_paths in {METADATA}")
     if (storage := table.get("storage_identifier")) not in (*STORAGES,):
-        raise InputError(f"expected storage_identifier {' or '.join(STORAGES)} in {ABOUT}, got {storage!r:.40}")
+        raise InputError(f"expected storage_identifier {' or '.join(STORAGES)} in {METADATA}, got {storage!r:.40}")
     return table
 
 
@@ -65,7 +65,7 @@ def _inside(folder: Path, name: str) -> Path:
     """The ordinary file of that name in the folder; old bags put the folder's own name in front."""
     path = folder / PurePath(name).name
     if path.parent != folder or not path.name:
-        raise InputError(f"expected a file's name in {ABOUT}, got {name!r:.100}")
+        raise InputError(f"expected a file's name in {METADATA}, got {name!r:.100}")
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -77,7 +77,7 @@ def _inside(folder: Path, name: str) -> Path:
 
 @contextmanager
 def _unpacked(path: Path, packed: bool, budget: Budget) -> Iterator[Path]:
-    """The file, or for one that is compressed as a whole, what it unpacks to, for as long as it is needed."""
+    """The file, or for one that is compressed as a whole, a temporary file that it unpacks to."""
     if not packed:
         yield path
         return

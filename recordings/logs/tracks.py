@@ -1,7 +1,7 @@
-"""What any log is: named tracks of numbers, each at times of its own, in one or several episodes.
+"""A log of any kind: named tracks of numbers, each at times of its own, in one or several episodes.
 
-Readers give what the file has, in its own units and names. Rows that came twice are kept once, rows out of order are
-sorted, and rows that are missing stay missing.
+Units and names are the file's. Duplicate rows are kept once, rows out of order are sorted, and missing rows stay
+missing.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from ..errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Values (N,) at times (N,) s, increasing; `target` where they are what a controller wants, and not measured."""
+    """Values (N,) at times (N,) s, increasing; `target` for a controller's targets, which are not measured."""
 
     time: np.ndarray
     values: np.ndarray

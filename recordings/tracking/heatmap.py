@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..atomic import atomic_path
-from ..budget import MEMORY
+from ..budget import LIMITS
 from ..errors import InputError, first_line
 from ..paths import check_readable
 from .confidence import platt
@@ -122,10 +122,10 @@ class HeatmapTracker:
 
 def check_pictures(size: Sequence[int], widths: Sequence[int], keypoints: int) -> None:
     """Raise InputError for pictures of (height, width) px for which the network needs more memory than it may."""
-    if (needed := activations(size, widths, keypoints)) > MEMORY:
+    if (needed := activations(size, widths, keypoints)) > LIMITS.memory:
         raise InputError(
             f"pictures of {size[0]} × {size[1]} px take a network of {len(widths)} levels {needed / 2**30:.3g} GiB, "
-            f"expected at most {MEMORY / 2**30:g}: train it on smaller ones"
+            f"expected at most {LIMITS.memory / 2**30:g}: train it on smaller ones"
         )
 
 

@@ -123,7 +123,7 @@ BAD = {
     "an offset of no camera": ((*TRIANGULATE, "--offset", "cam9=1"), "cam9"),
     "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--offset", "cam2=99"), "films overlap"),
     "up in words": ((*TRIANGULATE, "--up", "north"), "up is one of"),
-    "a lens without poses": ((*TRIANGULATE, "--free", "focal"), "ask for both"),
+    "a lens without poses": ((*TRIANGULATE, "--free", "focal"), "choose both"),
     "an unknown part": ((*TRIANGULATE, "--refine", "--free", "iris"), "unknown part of a lens"),
     "over the tracks": ((*TRIANGULATE[:-1], "cam1.csv"), "overwrite"),
     "nowhere": ((*TRIANGULATE[:-1], "nowhere/arm.csv"), "nowhere"),
@@ -165,7 +165,7 @@ def test_tracks_and_cameras_that_do_not_fit_end_with_one_line(films, run, conten
     (films / "short_cam2.csv").write_text("\n".join(whole[:-3]) + "\n")
     before = contents(films)
     for files, calibration, named in (
-        (("cam1.csv", "cam2.csv"), "one_place.toml", "stand in one place"),
+        (("cam1.csv", "cam2.csv"), "one_place.toml", "have the same position"),
         (("cam1.csv", "cam2.csv"), "folding.toml", "folds the picture"),
         (("cam1.csv", "short_cam2.csv"), "calibration.toml", "27 rows, the first camera 30"),
     ):

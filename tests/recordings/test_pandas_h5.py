@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from invdyn.recordings import InputError, load
+from invdyn.recordings.budget import Limits
 from invdyn.recordings.pandas_h5 import read_pandas_h5
 
 tables = pytest.importorskip("tables")
@@ -93,7 +94,7 @@ def test_values_that_are_objects_are_refused(tmp_path):
 
 def test_a_table_of_two_long_axes_is_one_line(tmp_path, monkeypatch):
     """Each axis is small, all cells are not: a file declares them with nothing stored."""
-    monkeypatch.setattr("invdyn.recordings.budget.MEMORY", 2**20)  # else it takes seconds
+    monkeypatch.setattr("invdyn.recordings.budget.LIMITS", Limits(memory=2**20))  # else it takes seconds
     save(tmp_path / "rec.h5", layout="fixed")
     with h5py.File(tmp_path / "rec.h5", "a") as store:
         del store[KEY]["axis1"]

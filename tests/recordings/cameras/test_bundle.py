@@ -78,7 +78,7 @@ def test_the_jacobian_is_that_of_differences():
     root = rng.uniform(0.5, 1, (4, 3))
 
     def weighted(v):
-        return (root[..., None] * problem._misses(v)).ravel()
+        return (root[..., None] * problem._errors(v)).ravel()
 
     exact = problem._jacobian(vector, root).toarray()
     for k, step in enumerate(1e-6 * np.eye(len(vector))):

@@ -238,7 +238,7 @@ def test_cameras_that_never_meet_are_refused():
     with pytest.raises(InputError, match="together with 'cam1' at 2 moments"):
         fit_rig(CHECKERBOARD, lenses, found)
     even = Board("checkerboard", 8, 6, SQUARE)
-    with pytest.raises(InputError, match="looks the same turned round"):
+    with pytest.raises(InputError, match="looks the same rotated"):
         fit_rig(even, lenses, found)
 
 

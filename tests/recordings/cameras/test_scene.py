@@ -57,7 +57,7 @@ def test_a_stated_length_makes_it_metric(tmp_path):
     files = write_tracks(tmp_path, calibration)
     unknown = calibration.scaled(7.0, metric=False)
     views = read_views(files, unknown)
-    with pytest.raises(InputError, match="does not say what its lengths are in: pass its unit"):
+    with pytest.raises(InputError, match="does not state the unit of its lengths: pass its unit"):
         reconstruct(views)
     by_arm = reconstruct(views, lengths=[Length("shoulder", "elbow", 0.3), Length.parse("elbow:wrist=.25")], scale=1.0)
     by_cameras = reconstruct(views, baseline=Length("cam1", "cam2", calibration.baseline("cam1", "cam2")), scale=1.0)
@@ -206,5 +206,5 @@ def test_other_things_that_do_not_fit(tmp_path):
         reconstruct(views, lengths=[Length("hand", "elbow", 0.3)])
     with pytest.raises(InputError, match="pass one kind, not both"):
         reconstruct(views, lengths=[Length("wrist", "elbow", 0.3)], baseline=Length("cam1", "cam2", 1.0))
-    with pytest.raises(InputError, match="ask for both"):
+    with pytest.raises(InputError, match="choose both"):
         reconstruct(views, intrinsics=["focal"])

@@ -111,7 +111,7 @@ def test_lines_of_sight_that_are_nearly_one_give_no_depth():
 
 def test_cameras_in_one_place_are_refused():
     calibration = Calibration((looking("one", (3, 0, 1.0)), looking("two", (3, 0, 1.0), focal=900.0)), metric=True)
-    with pytest.raises(InputError, match="stand in one place"):
+    with pytest.raises(InputError, match="have the same position"):
         triangulate(calibration, pixels_of(calibration))
 
 

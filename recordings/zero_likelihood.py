@@ -1,11 +1,12 @@
-"""Places that a tracker writes for a point it has lost.
+"""Coordinates that a tracker writes for a missing point; they become NaN.
 
-A likelihood of 0 says that nothing was found (OpenPose and COCO write 0, 0, 0), whatever place stands beside it. In
-pixels (0, 0) is the image's corner, where a sub-pixel estimate does not fall exactly. Motion capture writes 0 0 0 in
-metres or mm, where the origin may be a place like others: there it is missing if no step between two rows of the
-same track is as long as the way from the origin to its nearest other place. All three are missing. A place that is
-repeated to the last digit while the likelihood is low is the last good one, kept: this is told and no more, since a
-hidden arm may rest.
+- A likelihood of 0 means that nothing was found (OpenPose and COCO write 0, 0, 0).
+- In pixels (0, 0) is the image's corner, which a sub-pixel estimate does not hit exactly.
+- Motion capture writes 0 0 0 in metres or mm. The origin may also be a position like others: it is missing if no step
+  between two rows of the track is as long as the distance from the origin to the track's nearest point.
+
+A position that is repeated to the last digit while the likelihood is low may be the last good one, written again. A
+warning says so; the data stay as they are, since a hidden arm may be at rest.
 """
 
 import warnings
@@ -17,20 +18,20 @@ import numpy as np
 from .errors import InputError
 from .recording import Recording
 
-STILL = 3
-"""Rows with one and the same place that are told."""
-MIN_PLACES = 10
-"""Rows with a place, of which a longest step is taken."""
-LOW = 0.5
-"""Of a keypoint's median likelihood: below it, it is low."""
+MIN_REPEATS = 3
+"""Rows with the same position that cause a warning."""
+MIN_POSITIONS = 10
+"""Rows with a position, for a longest step to be meaningful."""
+LOW_LIKELIHOOD = 0.5
+"""Of a keypoint's median."""
 
 
-def without_lost(recording: Recording, pixels: bool) -> Recording:
-    """The recording with lost places NaN.
+def without_zeros(recording: Recording, pixels: bool) -> Recording:
+    """The recording with missing points as NaN.
 
     A likelihood that is 0 for all points in all frames was not written by a tracker, and is dropped.
 
-    Raises InputError when nothing is left of a keypoint that had places.
+    Raises InputError when nothing is left of a keypoint that had positions.
     """
     points, confidence = recording.keypoints.copy(), recording.confidence
     if confidence is not None and not np.nan_to_num(confidence).any():
@@ -41,15 +42,17 @@ def without_lost(recording: Recording, pixels: bool) -> Recording:
     had, has = (np.isfinite(each).any(axis=(0, 2)) for each in (recording.keypoints, points))
     for name, before, after in zip(recording.keypoint_names, had, has, strict=True):
         if before and not after:
-            raise InputError(f"keypoint {name!r} is lost in every frame: its likelihood is 0")
+            raise InputError(f"keypoint {name!r} is missing in every frame: its likelihood is 0")
     if confidence is not None:
-        for name, track, sure in zip(recording.keypoint_names, np.moveaxis(points, 1, 0), confidence.T, strict=True):
-            _tell_still(name, track, sure)
+        for name, track, likelihood in zip(
+            recording.keypoint_names, np.moveaxis(points, 1, 0), confidence.T, strict=True
+        ):
+            _warn_of_repeats(name, track, likelihood)
     return replace(recording, keypoints=points, confidence=confidence)
 
 
 def _drop_zeros(names: Sequence[str], points: np.ndarray, pixels: bool) -> None:
-    """Set exact zeros that are no places to NaN in ``points`` (T, P, S), with a warning for each keypoint."""
+    """Set exact zeros that are no positions to NaN in ``points`` (T, P, S), with a warning for each keypoint."""
     where = "the image's corner (0, 0)" if pixels else f"the origin ({', '.join('0' * points.shape[-1])})"
     for name, track in zip(names, np.moveaxis(points, 1, 0), strict=True):
         zero = (track == 0).all(axis=-1)
@@ -61,19 +64,23 @@ def _drop_zeros(names: Sequence[str], points: np.ndarray, pixels: bool) -> None:
 
 
 def _unreached(track: np.ndarray, zero: np.ndarray) -> bool:
-    """Whether the origin lies farther from all other places of a track (T, S) than the longest step between them."""
+    """Whether the origin lies farther from all other positions of a track (T, S) than the longest step between them."""
     others = track[np.isfinite(track).all(axis=-1) & ~zero]
     distance, step = (np.linalg.norm(each, axis=-1) for each in (others, np.diff(others, axis=0)))
-    return len(others) >= MIN_PLACES and bool(distance.min() > step.max(initial=0.0))
+    return len(others) >= MIN_POSITIONS and bool(distance.min() > step.max(initial=0.0))
 
 
-def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
+def _warn_of_repeats(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
     same = (track[1:] == track[:-1]).all(axis=-1)  # NaN differs from itself
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
-    runs = [(start, stop + 1) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop + 1 - start >= STILL]
+    runs = [
+        (start, stop + 1)
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop + 1 - start >= MIN_REPEATS
+    ]
     if not runs or np.isnan(confidence).all():
         return
-    low = LOW * np.nanmedian(confidence)
+    low = LOW_LIKELIHOOD * np.nanmedian(confidence)
     # A likelihood that is missing is not a low one.
     known = [(start, stop) for start, stop in runs if not np.isnan(confidence[start:stop]).all()]
     doubted = [(start, stop) for start, stop in known if np.nanmax(confidence[start:stop]) < low]
@@ -82,6 +89,6 @@ def _tell_still(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
         rows = sum(stop - start for start, stop in doubted)
         warnings.warn(
             f"{name} stands still to the last digit in {rows} rows, such as {start + 1} to {stop}, and its likelihood "
-            "is under half of its median there: if it was lost, leave these cells empty",
+            "is under half of its median there: if it was not seen, leave these cells empty",
             stacklevel=3,
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from invdyn.recordings import InputError, Recording
-from invdyn.recordings.lost import without_lost
+from invdyn.recordings.zero_likelihood import without_zeros
 
 TIME = np.arange(40) / 40
 
@@ -22,20 +22,20 @@ def sure():
 def test_a_likelihood_of_0_is_missing_wherever_the_point_lies():
     confidence = sure()
     confidence[5:9, 1] = 0.0
-    recording = without_lost(tracks(confidence), pixels=False)
+    recording = without_zeros(tracks(confidence), pixels=False)
     lost = np.isnan(recording.keypoints).all(axis=-1)
     np.testing.assert_array_equal(lost, confidence == 0)
     np.testing.assert_array_equal(recording.keypoints[~lost], tracks().keypoints[~lost])
 
 
 def test_a_likelihood_that_is_0_throughout_says_nothing():
-    recording = without_lost(tracks(np.zeros((40, 2))), pixels=True)
+    recording = without_zeros(tracks(np.zeros((40, 2))), pixels=True)
     assert recording.confidence is None
     assert np.isfinite(recording.keypoints).all()
     one = sure()
     one[:, 0] = 0.0
-    with pytest.raises(InputError, match="'knee' is lost in every frame"):
-        without_lost(tracks(one), pixels=True)
+    with pytest.raises(InputError, match="'knee' is missing in every frame"):
+        without_zeros(tracks(one), pixels=True)
 
 
 def test_the_corner_of_an_image_is_missing_and_told():
@@ -44,11 +44,11 @@ def test_the_corner_of_an_image_is_missing_and_told():
     points[10:17, 0] = 0.0
     recording = Recording(TIME, points, recording.keypoint_names)
     with pytest.warns(UserWarning, match=r"knee is at the image's corner \(0, 0\) in 7 of 40 rows"):
-        cleaned = without_lost(recording, pixels=True)
+        cleaned = without_zeros(recording, pixels=True)
     np.testing.assert_array_equal(np.isnan(cleaned.keypoints[:, 0, 0]), points[:, 0, 0] == 0)
     points[:, 0] = 0.0  # the origin of the tracks, not a lost point
     relative = Recording(TIME, points, recording.keypoint_names)
-    np.testing.assert_array_equal(without_lost(relative, pixels=True).keypoints, points)
+    np.testing.assert_array_equal(without_zeros(relative, pixels=True).keypoints, points)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
     recording = Recording(TIME, points, recording.keypoint_names, confidence=confidence)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        kept = without_lost(recording, pixels=True)
+        kept = without_zeros(recording, pixels=True)
     np.testing.assert_array_equal(kept.keypoints, points)
     assert [
         str(each.message).startswith("heel stands still to the last digit in 5 rows, such as 21 to 25")
@@ -84,7 +84,7 @@ def metric(zeros=(10, 17), offset=(0.4, 1.2, 0.1)):
 def test_a_marker_at_0_0_0_is_missing_where_no_step_leads_there():
     recording = metric()
     with pytest.warns(UserWarning, match=r"wrist is at the origin \(0, 0, 0\) in 7 of 40 rows: taken to be missing"):
-        cleaned = without_lost(recording, pixels=False)
+        cleaned = without_zeros(recording, pixels=False)
     lost = np.isnan(cleaned.keypoints[:, 0]).all(axis=-1)
     np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(10, 17))
     np.testing.assert_array_equal(cleaned.keypoints[~lost], recording.keypoints[~lost])
@@ -100,7 +100,7 @@ def test_a_marker_at_0_0_0_is_missing_where_no_step_leads_there():
 )
 def test_a_marker_that_moves_to_the_origin_is_there(zeros, offset):
     recording = metric(zeros, offset)
-    np.testing.assert_array_equal(without_lost(recording, pixels=False).keypoints, recording.keypoints)
+    np.testing.assert_array_equal(without_zeros(recording, pixels=False).keypoints, recording.keypoints)
 
 
 def test_rows_of_commands_between_do_not_hide_the_steps():
@@ -108,4 +108,4 @@ def test_rows_of_commands_between_do_not_hide_the_steps():
     points = np.full((80, 1, 3), np.nan)
     points[::2] = recording.keypoints
     between = Recording(np.arange(80) / 80, points, ("wrist",))
-    np.testing.assert_array_equal(without_lost(between, pixels=False).keypoints, points)
+    np.testing.assert_array_equal(without_zeros(between, pixels=False).keypoints, points)
