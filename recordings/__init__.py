@@ -2,5 +2,5 @@
 
 import lazy_loader
 
-# The names stand in __init__.pyi, where editors and type checkers look too; a file is imported once one is asked for.
+# The names are in __init__.pyi, for editors and type checkers too; a file is imported when one of its names is used.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -119,7 +119,7 @@ def _signals_wait() -> Iterator[None]:
 
 @contextmanager
 def new_folder(path: str | Path) -> Iterator[None]:
-    """Make the folder `path` and those above it where they are missing; if the block fails and left it empty, it goes.
+    """Make the folder `path` and those above it where they are missing; a failure that leaves it empty removes it.
 
     Raises OSError where it cannot be made.
     """

@@ -60,8 +60,8 @@ def choose_individual(names: list[str], individual: str | None) -> str:
     if individual in names:
         return individual
     if individual is not None or len(names) != 1:
-        asked = "several animals" if individual is None else f"no animal {individual!r}"
-        raise InputError(f"{asked}: choose one of {', '.join(names)} (--individual)")
+        problem = "several animals" if individual is None else f"no animal {individual!r}"
+        raise InputError(f"{problem}: choose one of {', '.join(names)} (--individual)")
     return names[0]
 
 

@@ -29,7 +29,7 @@ def check_magnitudes(recording: Recording, units: Units) -> None:
     """Raise InputError when lengths are too large for metres, or undeclared angles for radians."""
     if recording.length_unit == "m" and (extent := _extent(recording)) > MAX_EXTENT:
         raise InputError(
-            f"keypoints spread over {extent:.3g} m, too much for one body; "
+            f"keypoints extend over {extent:.3g} m, too much for one body; "
             + (_odd_columns(recording) or "these look like pixels: pass --units px (or mm, cm)")
         )
     if units.angle is None and recording.angles is not None:

@@ -89,7 +89,7 @@ def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], Callable[[int],
 
 
 class Columns(Mapping[str, np.ndarray]):
-    """A table's columns that have a name, each turned into numbers when it is looked up.
+    """A table's columns that have a name, each converted to numbers when it is looked up.
 
     Columns of words, or without a name, are allowed unless they are looked up. Raises InputError as above for another
     kind of file, and at a look-up for a name that the header has twice.

@@ -222,7 +222,7 @@ class Observation:
 class _UncheckedStudentT(StudentT):
     """Student-t noise whose parameters (..., O) are not checked.
 
-    torch's own class has the χ² inside it checked whatever ``validate_args`` says: the host would wait in each row.
+    torch's own class checks the χ² inside it for all ``validate_args``: the host would wait in each row.
     """
 
     def __init__(self, df: Tensor, loc: Tensor, scale: Tensor):

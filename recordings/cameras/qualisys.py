@@ -4,7 +4,7 @@
 
 for the file's own R: its camera looks along −z with y up, ours along z with y down. Layout: Qualisys' own files;
 checked against a triangulation that comes with one. XML is read by the standard library, which fetches nothing from
-outside; a file with a document type, the place where entities are defined, is refused in whatever encoding, since
+outside; a file with a document type, the place where entities are defined, is refused in any encoding, since
 entities can expand to fill the memory.
 """
 
@@ -54,7 +54,7 @@ def _camera(element: ElementTree.Element) -> Camera:
     if (model := element.get("model", "none")).lower() not in ("none", ""):
         raise InputError(f"{where}: its lens model is {model[:40]!r}; expected the standard one of Brown's law")
     if (angle := element.get("viewrotation", "0")) != "0":
-        raise InputError(f"{where}: its view is turned by {angle[:40]}°: export the calibration with viewrotation 0")
+        raise InputError(f"{where}: its view is rotated by {angle[:40]}°: export the calibration with viewrotation 0")
     pose, lens, edges = (_numbers(element, tag, where) for tag in ("transform", "intrinsic", "fov_video"))
 
     def values(table: dict[str, float], *keys: str) -> np.ndarray:

@@ -194,8 +194,8 @@ class _Problem:
             residual, jacobian = part._look(mode)
             tau = np.where(part.trust > 0, self._tau((residual**2).sum(-1), sigma, part.trust) / usual, 0.0)
             information = self._information(jacobian, tau * part.trust, sigma)
-            told = (np.linalg.cond(information) < 1e12)[:, None, None]
-            covariance.append(np.where(told, np.linalg.inv(np.where(told, information, np.eye(3))), np.nan))
+            known = (np.linalg.cond(information) < 1e12)[:, None, None]
+            covariance.append(np.where(known, np.linalg.inv(np.where(known, information, np.eye(3))), np.nan))
             density.append(ambiguous_points.log_density(part._good(mode, sigma), area, share))
         best, wide = ambiguous_points.combine_modes(modes, np.stack(covariance), np.stack(density))
         points = points.copy()
@@ -203,7 +203,7 @@ class _Problem:
         return points, doubtful, wide
 
     def _good(self, points: np.ndarray, sigma: float) -> np.ndarray:
-        """Log density (N, C), 1/px², of pixels that are no strays; NaN where there is none."""
+        """Log density (N, C), 1/px², of pixels that are no outliers; NaN where there is none."""
         square = (self._look(points)[0] ** 2).sum(-1)
         trust = np.where(self.trust > 0, self.trust, np.nan)
         tail = (DEGREES_OF_FREEDOM + 2) / 2 * np.log1p(trust * square / (DEGREES_OF_FREEDOM * sigma**2))

@@ -2,7 +2,7 @@
 
     loss = − mean over labelled keypoints of Σ_cells target · log softmax(map)
 
-Every eighth label is held-out data: errors there are reported, and confidence is calibrated on them. Step n draws
+Every eighth label is left for validation: errors there are reported, and confidence is calibrated on them. Step n draws
 its
 pictures from a generator seeded by (seed, n) alone: a run that was killed continues to the same network.
 """
@@ -26,7 +26,7 @@ from .unet import UNet, peaks, targets
 BATCH = 8  # pictures of a step
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4  # of AdamW
 WARM_UP = 50  # steps
-HELD_OUT = 8  # one label of so many
+VALIDATION = 8  # one label of so many
 MIN_LABELS = 4
 TARGET_SD = 0.01  # of a target's Gaussian, in the picture's longer side; at least 1.5 px
 TOLERANCE = 0.02  # distance within which a point is right, in the film's longer side
@@ -50,7 +50,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class Trained:
-    """A tracker, and its errors on n labelled keypoints of held-out data; n is 0 where labels are too few.
+    """A tracker, and its errors on n labelled keypoints left for validation; n is 0 where labels are too few.
 
     `errors` (n,) are in px of the film, `confidence` (n,) is a probability.
     """
@@ -114,7 +114,7 @@ def train(
         return torch.Generator().manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1)[0]))
 
     check_pictures(given.pictures.shape[1:3], widths, len(given.names))
-    held_out, own = _split(len(given.pictures), generator(0))
+    validation, own = _split(len(given.pictures), generator(0))
     pictures = torch.from_numpy(given.pictures)
     points = torch.from_numpy(given.points).float()
     mean = pictures[own].float().mean((0, 1, 2))
@@ -151,7 +151,7 @@ def train(
             progress(step + 1, steps, f"train; loss {loss.item():.2f}")
     network.eval()
     colours = mean.tolist(), deviation.tolist()
-    errors, mass = _held_out(network, given, held_out, colours)
+    errors, mass = _validated(network, given, validation, colours)
     calibration = fit_platt(mass, errors < given.tolerance)
     size = (given.pictures.shape[1], given.pictures.shape[2])
     tracker = HeatmapTracker(network, given.names, size, *colours, calibration, given.tolerance, widths)
@@ -159,18 +159,18 @@ def train(
 
 
 def _split(count: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Indices of held-out data, and the others."""
+    """Indices for validation, and the others."""
     order = torch.randperm(count, generator=rng)
-    return order[: count // HELD_OUT].sort().values, order[count // HELD_OUT :].sort().values
+    return order[: count // VALIDATION].sort().values, order[count // VALIDATION :].sort().values
 
 
 @torch.no_grad()
-def _held_out(
-    network: UNet, given: Examples, held_out: Tensor, colours: tuple[list[float], list[float]]
+def _validated(
+    network: UNet, given: Examples, which: Tensor, colours: tuple[list[float], list[float]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n,) px of the film, and masses (n,), of all keypoints that are labelled there."""
     errors, masses = [np.empty(0)], [np.empty(0)]
-    for part in held_out.split(EVALUATED_AT_ONCE):
+    for part in which.split(EVALUATED_AT_ONCE):
         places, mass = peaks(network(normalised(torch.from_numpy(given.pictures[part.numpy()]), *colours)))
         truth, factor = given.points[part.numpy()], given.factor[part.numpy(), None]
         error = np.linalg.norm((places.double().numpy() - truth) * factor, axis=-1)

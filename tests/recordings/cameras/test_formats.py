@@ -181,7 +181,7 @@ def test_opencvs_own_writer(tmp_path, suffix):
 def test_several_files_of_opencv_need_poses(tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.yml").write_text(YAML)
-    with pytest.raises(InputError, match="nothing of where the camera stands"):
+    with pytest.raises(InputError, match="has no pose of the camera"):
         read_calibration([tmp_path / "a.yml", tmp_path / "b.yml"])
     pose = "R: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ 0., 0., 0.1 ]\nT: [ 1., 2, 3. ]\n"
     for name in ("a", "b"):
