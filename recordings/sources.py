@@ -21,14 +21,14 @@ class Source:
 
     Attributes:
         file: its place under INVDYN_DATA.
-        repository: owner/name on GitHub, or None for a file that is not published.
+        repository: owner/name on GitHub, or "" for a file that is not published.
         commit, path: where it lies there.
         sha256: of the file as it is kept.
         rounded: the published table has 19 digits a number; it is kept, and hashed, with seven.
     """
 
     file: str
-    repository: str | None = None
+    repository: str = ""
     commit: str = ""
     path: str = ""
     sha256: str = ""
@@ -50,7 +50,7 @@ def fetch(source: Source) -> Path:
         if not path.is_file():
             raise InputError(f"{VARIABLE} is {folder}, but there is no file {source.file} in it")
         return path
-    if source.repository is None:
+    if not source.repository:
         raise InputError(f"{source.file} is not published: set {VARIABLE} to a folder that holds it")
     try:
         return Path(

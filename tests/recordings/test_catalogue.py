@@ -22,7 +22,7 @@ def test_every_source_is_pinned():
     for name, entry in CATALOGUE.items():
         for source in entry.sources:
             if name == "dfki-film":
-                assert source.repository is None
+                assert not source.repository
             else:
                 assert re.fullmatch("[0-9a-f]{40}", source.commit), name
                 assert re.fullmatch("[0-9a-f]{64}", source.sha256), name
@@ -35,7 +35,7 @@ def test_every_recording_loads_and_has_the_pinned_hash(data_folder, name):
     assert recording.name == name
     assert recording.num_frames > 100
     for source in CATALOGUE[name].sources:
-        if source.repository is not None:
+        if source.repository:
             content = (data_folder / source.file).read_bytes()
             assert hashlib.sha256(content).hexdigest() == source.sha256
 
