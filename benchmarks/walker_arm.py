@@ -160,7 +160,7 @@ def answer(way: str, used: Views, rest: Views | None) -> dict:
         points.append(model.dynamics.keypoints(model.split(each)[1], numbers))
         if way == "pixels":
             memory = model.layout.parted(model.split(each)[0])[2]
-            turns += list(memory[:, 0, model.observation.pixels.alone :].unflatten(-1, (-1, 3)))
+            turns += list(memory[:, 0, model.observation.pixels.independent_states :].unflatten(-1, (-1, 3)))
             white += [p["emission.pixel_scale"].flatten()] * EACH
             lasting += [p["emission.bias_scale"].flatten()] * EACH
     seconds = time.process_time() - begun

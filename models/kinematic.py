@@ -67,7 +67,7 @@ class KinematicModel(StateSpaceModel):
         self.body, self.dynamics, self.order = body, dynamics_for(body), order
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         if self.observation.states:
-            last = ", ".join(each.name for each in self.observation.remembering)
+            last = ", ".join(each.name for each in self.observation.with_states)
             raise WrongValue(f"expected sensors whose errors do not last, as a walk has no states for them, got {last}")
         self.timeline = Timeline.of(time)
         self.num_steps = len(self.timeline.time)

@@ -61,7 +61,7 @@ def pixels_of(recording: Filmed, sites: list[tuple[int, int]], learn: tuple[str,
         resolution=_resolution(views.calibration, recording.keypoints[:, order]),
         timed="offset" in learn,
         posed="pose" in learn,
-        turned="turn" in learn,
+        rotation_uncertain="turn" in learn,
     )
 
 

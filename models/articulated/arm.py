@@ -333,7 +333,7 @@ class ArmModel(StateSpaceModel):
     @property
     def lone(self) -> tuple[list[int], list[int]] | None:
         """The sensors' own states that show in one entry; see :attr:`.StateSpaceModel.lone`."""
-        own, shown = self.observation.alone
+        own, shown = self.observation.independent_states
         begun = self.layout.torque + self.layout.hidden
         return ([begun + state for state in own], shown) if own else None
 

@@ -3,7 +3,7 @@
     z' = E[z_t | z],   (hidden, θ, θ̇)' = one row of the mechanics,   x_t ~ N(·, diag(L Lᵀ, sds²))
 
 with L of the torque process, and sds "noise.hidden.<effect>", "noise.angle" and "noise.velocity". Sensors' states go on
-as those say (:class:`.sensor.Remembering`). Where another
+as those say (:class:`.sensor.SensorWithStates`). Where another
 recording starts, x_t does not follow from the row before.
 
 Shapes: states (..., D), torques z (..., Z), joint quantities (..., K).
@@ -55,7 +55,7 @@ class Transition:
         root = self.torque.noise(self._lasts(t), p)
         if (late := self.late(t)) is not None:
             root = torch.hypot(root, late)
-        memory = self.observation.strayed(self._lasts(t), p) if self.layout.memory else []
+        memory = self.observation.transition_sd(self._lasts(t), p) if self.layout.memory else []
         sds = self._with_hidden("noise.hidden", memory, p["noise.angle"], p["noise.velocity"])
         moved = self.layout.gaussian(self.mean(state, t), root, sds)
         if self.timeline.anew is None or self.timeline.middle is None:
@@ -72,7 +72,7 @@ class Transition:
         z_next = self.torque.mean(z, self._lasts(t), self.mechanics.parameters)
         *bent, q_next, qd_next = self.mechanics.step(self._driven(z, z_next, t), hidden, q, qd)
         if self.layout.memory:
-            bent += self.observation.onward(memory, self._lasts(t), self.mechanics.parameters)
+            bent += self.observation.next_mean(memory, self._lasts(t), self.mechanics.parameters)
         return join(z_next, *bent, q_next, qd_next)
 
     def late(self, t: Row) -> Tensor | None:
@@ -98,7 +98,9 @@ class Transition:
     def _begun(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
         p = self.mechanics.parameters
         root = self.torque.stationary(self.timeline.interval(0, self.motors.dtype), p)
-        sds = self._with_hidden("initial.hidden", self.observation.begun(p), angle_scale, p["initial.velocity_scale"])
+        sds = self._with_hidden(
+            "initial.hidden", self.observation.initial_sd(p), angle_scale, p["initial.velocity_scale"]
+        )
         return self.layout.gaussian(self.layout.at_rest(angle, velocity), root, sds)
 
     def _lasts(self, t: Row) -> Tensor:

@@ -24,7 +24,7 @@ from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.multivariate_t import MultivariateT
 from invdyn.models.observation.pixels import Pixels
-from invdyn.models.observation.sensor import NoisySensor, Remembering, Sensor, size
+from invdyn.models.observation.sensor import NoisySensor, Sensor, SensorWithStates, size
 from invdyn.models.observation.side_by_side import SideBySide
 from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
@@ -58,8 +58,8 @@ class Observation:
         # Runs of adjacent sensors of independent noise; any other is a run of its own.
         runs = groupby(sensors, lambda each: isinstance(each, NoisySensor) or each.name)
         self._runs: list[list[Any]] = [list(run) for _, run in runs]
-        self.remembering: list[Any] = [each for each in sensors if isinstance(each, Remembering) and each.states]
-        """Those that have states (:class:`.sensor.Remembering`)."""
+        self.with_states: list[Any] = [each for each in sensors if isinstance(each, SensorWithStates) and each.states]
+        """Those that have states (:class:`.sensor.SensorWithStates`)."""
 
     def _with(self, sensors: Sequence[Sensor]) -> Self:
         return type(self)(*sensors, family=self.family)
@@ -109,7 +109,7 @@ class Observation:
     @property
     def states(self) -> int:
         """M, of all sensors that have any."""
-        return sum(each.states for each in self.remembering)
+        return sum(each.states for each in self.with_states)
 
     @property
     def tracked(self) -> tuple[int, ...]:
@@ -188,33 +188,33 @@ class Observation:
         """The view with the sensor's own states."""
         if view.memory is None:
             return view
-        if sensor not in (own := self.remembering):
+        if sensor not in (own := self.with_states):
             return replace(view, memory=None)
         return replace(view, memory=view.memory.split([each.states for each in own], -1)[own.index(sensor)])
 
-    def begun(self, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+    def initial_sd(self, parameters: Mapping[str, Tensor]) -> list[Tensor]:
         """Deviations of their states in the first row."""
-        return [each.begun(parameters) for each in self.remembering]
+        return [each.initial_sd(parameters) for each in self.with_states]
 
-    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+    def next_mean(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
         """Means of their states ``dt`` (..., 1) s after they were ``memory`` (..., M)."""
-        own = self.remembering
+        own = self.with_states
         shares = memory.split([each.states for each in own], -1) if own else ()
-        return [each.onward(share, dt, parameters) for each, share in zip(own, shares, strict=True)]
+        return [each.next_mean(share, dt, parameters) for each, share in zip(own, shares, strict=True)]
 
-    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
+    def transition_sd(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> list[Tensor]:
         """Deviations about these means."""
-        return [each.strayed(dt, parameters) for each in self.remembering]
+        return [each.transition_sd(dt, parameters) for each in self.with_states]
 
     @property
-    def alone(self) -> tuple[list[int], list[int]]:
+    def independent_states(self) -> tuple[list[int], list[int]]:
         """Of the M states those that show in one entry of a row each, by number, and these entries."""
         own: list[int] = []
         shown: list[int] = []
         start = 0
-        for each in self.remembering:
-            own += range(start, start + each.alone)
-            shown += range(self.part(each).start, self.part(each).start + each.alone)
+        for each in self.with_states:
+            own += range(start, start + each.independent_states)
+            shown += range(self.part(each).start, self.part(each).start + each.independent_states)
             start += each.states
         return own, shown
 

@@ -64,7 +64,7 @@ class Pixels(NoisySensor):
         confidence: (T, C, P) the tracker's, or None.
         resolution: metres that a pixel spans at the keypoints, approximately: for a start, no part of the likelihood.
         timed, posed: whether clocks, or poses, have parameters.
-        turned: whether ω is a state.
+        rotation_uncertain: whether ω is a state.
         lasting: whether b is a state.
         names: of the sites, known once :meth:`bound`; then all ``sites`` are places.
 
@@ -79,7 +79,7 @@ class Pixels(NoisySensor):
     resolution: float = 3e-3
     timed: bool = False
     posed: bool = False
-    turned: bool = False
+    rotation_uncertain: bool = False
     lasting: bool = True
     names: tuple[str, ...] = field(default=())
 
@@ -147,7 +147,7 @@ class Pixels(NoisySensor):
             own["camera.offset"] = constant(0.0, cameras)
         if self.posed:
             own |= {f"camera.{name}": constant(0.0, cameras, 3) for name in ("turn", "shift")}
-        if self.turned:
+        if self.rotation_uncertain:
             own["camera.turn_scale"] = constant(DEFAULT_ROTATION, cameras)
         return own
 
@@ -164,7 +164,7 @@ class Pixels(NoisySensor):
             scale = self.confidence.widened(scale, slope, drop, t)
         pixels, seen = self.projected(view, parameters)
         if self.lasting and view.memory is not None:
-            pixels = pixels + view.memory[..., : self.alone].unflatten(-1, self.shape)
+            pixels = pixels + view.memory[..., : self.independent_states].unflatten(-1, self.shape)
         anywhere = self.size.to(pixels)
         pixels = torch.where(seen[..., None], pixels, anywhere[:, None] / 2)
         scale = torch.where(seen, scale.unflatten(-1, self.shape[:2]), anywhere.amax(-1, keepdim=True))
@@ -176,8 +176,8 @@ class Pixels(NoisySensor):
         cameras = self.cameras.to(points.device, points.dtype)
         if self.posed:
             cameras = moved(cameras, parameters["camera.turn"], parameters["camera.shift"])
-        if self.turned and view.memory is not None:
-            turn = view.memory[..., self.alone :].unflatten(-1, (-1, 3))
+        if self.rotation_uncertain and view.memory is not None:
+            turn = view.memory[..., self.independent_states :].unflatten(-1, (-1, 3))
             cameras = moved(cameras, turn, torch.zeros_like(turn))
         if self.timed:
             # The row's moment, o s earlier by a clock that runs o ahead: to second order, as limbs change direction
@@ -194,37 +194,37 @@ class Pixels(NoisySensor):
 
     # -- correlated errors --------------------------------------------------------------------------------
     @property
-    def alone(self) -> int:
+    def independent_states(self) -> int:
         """Number of the b, one for each entry of its part of a row, or 0 without correlated errors."""
         return int(np.prod(self.shape)) if self.lasting else 0
 
     @property
     def states(self) -> int:
         """Those, and three for each camera's rotation."""
-        return self.alone + 3 * len(self.camera_names) * self.turned
+        return self.independent_states + 3 * len(self.camera_names) * self.rotation_uncertain
 
-    def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
+    def initial_sd(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., states) of the first b, px, and of rotations, rad."""
         own = [parameters["emission.bias_scale"].repeat_interleave(2, -1).flatten(-2)] if self.lasting else []
-        own += [parameters["camera.turn_scale"].repeat_interleave(3, -1)] if self.turned else []
+        own += [parameters["camera.turn_scale"].repeat_interleave(3, -1)] if self.rotation_uncertain else []
         return join(*own)
 
-    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+    def next_mean(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """Mean (..., states) of them, ``dt`` (..., 1) s after they were ``memory``."""
         return torch.exp(-self._pace(dt, parameters)) * memory
 
-    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+    def transition_sd(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., states) of them about that mean."""
         # 1 − a², without the digits that a difference near 0 would lose
-        return self.begun(parameters) * (-torch.expm1(-2 * self._pace(dt, parameters))).sqrt()
+        return self.initial_sd(parameters) * (-torch.expm1(-2 * self._pace(dt, parameters))).sqrt()
 
     def _pace(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """How much of its time has passed for each of the states, (..., states), or for all of them, (..., 1)."""
         elapsed = dt / parameters["emission.bias_time"] if self.lasting else dt[..., :0]
-        if not self.turned:
+        if not self.rotation_uncertain:
             return elapsed
-        stands = (dt / ROTATION_TIME).expand(*dt.shape[:-1], self.states - self.alone)
-        return join(elapsed.expand(*elapsed.shape[:-1], self.alone), stands)
+        stands = (dt / ROTATION_TIME).expand(*dt.shape[:-1], self.states - self.independent_states)
+        return join(elapsed.expand(*elapsed.shape[:-1], self.independent_states), stands)
 
     # -- a start -----------------------------------------------------------------------------------
     def about(self, points: Tensor) -> Tensor:

@@ -64,11 +64,11 @@ class Sensor(Protocol):
 
 
 @runtime_checkable
-class Remembering(Protocol):
+class SensorWithStates(Protocol):
     """A :class:`Sensor` with correlated errors: M states of its own, which depend on nothing else.
 
-    Each has a Markov transition of its own. The first ``alone`` of them (n, or 0) are added to one entry each of the
-    sensor's part of a row. The others change several entries.
+    Each has a Markov transition of its own. The first ``independent_states`` of them (n, or 0) are added to one entry
+    each of the sensor's part of a row. The others change several entries.
     """
 
     @property
@@ -76,16 +76,16 @@ class Remembering(Protocol):
         """M."""
 
     @property
-    def alone(self) -> int:
+    def independent_states(self) -> int:
         """How many change one entry alone: n, or 0."""
 
-    def begun(self, parameters: Mapping[str, Tensor]) -> Tensor:
+    def initial_sd(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., M) in the first row, about 0."""
 
-    def onward(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+    def next_mean(self, memory: Tensor, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """Mean (..., M), ``dt`` (..., 1) s after the states were ``memory``; linear in it."""
 
-    def strayed(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+    def transition_sd(self, dt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """Standard deviations (..., M) about that mean."""
 
 

@@ -16,7 +16,7 @@ from invdyn.inference.smoothing.posterior_linearisation import posterior_lineari
 from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, Sensor, SpatialLink, Tree
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.models.observation.pixels import STANDS
-from invdyn.models.observation.sensor import Remembering
+from invdyn.models.observation.sensor import SensorWithStates
 from invdyn.recordings.cameras.projection import project
 
 F64 = torch.float64
@@ -61,7 +61,7 @@ def projected(model, states, cameras=CALIBRATION):
 def test_rows_are_pixels_with_what_lasts_added():
     model = model_of(Encoders())
     assert isinstance(model.observation.pixels, Sensor)
-    assert isinstance(model.observation.pixels, Remembering)
+    assert isinstance(model.observation.pixels, SensorWithStates)
     x = some_states(model)
     memory = model.layout.parted(model.split(x)[0])[2].numpy().reshape(-1, 3, 2, 2)
     row = model.emission(x, 2)
@@ -103,18 +103,18 @@ def test_what_lasts_keeps_its_variance_and_forgets_at_its_own_pace():
     """Mean and covariance after steps of any length are those of exp(−|t|/ℓ)."""
     pixels, p = sensor(), {"emission.bias_time": torch.tensor([0.4], dtype=F64)}
     p["emission.bias_scale"] = torch.arange(1.0, 7.0, dtype=F64).reshape(3, 2)
-    sd = pixels.begun(p)
+    sd = pixels.initial_sd(p)
     assert sd.tolist() == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
     factor, variance = torch.ones(12, dtype=F64), sd**2
     for step in (0.01, 0.5, 1e-9, 0.2):
         dt = torch.tensor([step], dtype=F64)
-        mean, spread = pixels.onward(factor, dt, p), pixels.strayed(dt, p)
+        mean, spread = pixels.next_mean(factor, dt, p), pixels.transition_sd(dt, p)
         variance = (mean / factor) ** 2 * variance + spread**2
         factor = mean
         torch.testing.assert_close(variance, sd**2)  # stationary
     torch.testing.assert_close(factor, torch.full((12,), float(np.exp(-(0.71 + 1e-9) / 0.4)), dtype=F64))
     single = {name: value.float() for name, value in p.items()}
-    spread = pixels.strayed(torch.tensor([1e-9]), single)
+    spread = pixels.transition_sd(torch.tensor([1e-9]), single)
     torch.testing.assert_close(spread, sd.float() * (2e-9 / 0.4) ** 0.5)  # in single precision, too: β √(2 δ/ℓ)
 
 
@@ -176,7 +176,7 @@ def test_a_pose_that_is_off_is_another_camera():
 
 @pytest.mark.parametrize("lasting", [True, False])
 def test_turns_that_are_states_are_cameras_turned_about_their_places(lasting):
-    model = model_of(turned=True, lasting=lasting)
+    model = model_of(rotation_uncertain=True, lasting=lasting)
     x = some_states(model)
     memory = model.layout.parted(model.split(x)[0])[2]
     assert memory.shape[-1] == 9 + 12 * lasting
@@ -204,9 +204,9 @@ class Plain(ArmModel):
     lone = None
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_slopes_of_lone_states_are_those_of_one_nudge_each(turned):
-    model = model_of(Encoders(), turned=turned)
+@pytest.mark.parametrize("rotation_uncertain", [False, True])
+def test_slopes_of_lone_states_are_those_of_one_nudge_each(rotation_uncertain):
+    model = model_of(Encoders(), rotation_uncertain=rotation_uncertain)
     assert model.lone == (list(range(4, 16)), list(range(12)))
     torch.manual_seed(1)
     path, y = model.simulate()
