@@ -15,8 +15,9 @@ Within a step the mechanical integrator sees the torque move on a straight line 
 mean one step later; explicit Euler sees it held, as printed.
 
 The model is composed: :mod:`.timeline` the rows' clocks, :mod:`.drive` commands and motors, :mod:`.step` the mechanics
-of a row, :mod:`.transition` how states go on, made as :mod:`.state` says, :mod:`.sight` what is seen of them. Other
-circumstances of the same body, such as an effect or another command, are another model that shares the rest.
+of a row, :mod:`.transition` how states go on, made as :mod:`.state` says, :mod:`.observation_model` what is seen of
+them. Other circumstances of the same body, such as an effect or another command, are another model that shares the
+rest.
 """
 
 import copy
@@ -34,7 +35,7 @@ from torch import Tensor
 from invdyn.models.articulated.as_filed import engine_steps, filed
 from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
-from invdyn.models.articulated.sight import Sight
+from invdyn.models.articulated.observation_model import ObservationModel
 from invdyn.models.articulated.start import kinematic_paths
 from invdyn.models.articulated.state import StateLayout
 from invdyn.models.articulated.step import Mechanics
@@ -53,7 +54,7 @@ from invdyn.models.observation.observation import Observation
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
-DERIVED = ("layout", "mechanics", "_motors", "chain", "sight")
+DERIVED = ("layout", "mechanics", "_motors", "chain", "observation_model")
 """What a model makes of its parts, once it is asked for."""
 
 
@@ -140,9 +141,11 @@ class ArmModel(StateSpaceModel):
         )
 
     @cached_property
-    def sight(self) -> Sight:
+    def observation_model(self) -> ObservationModel:
         """The body before its sensors."""
-        return Sight(self.mechanics, self._motors, self.timeline, self.observation, self.layout, self.substeps_taken)
+        return ObservationModel(
+            self.mechanics, self._motors, self.timeline, self.observation, self.layout, self.substeps_taken
+        )
 
     @property
     def time(self) -> Tensor:
@@ -209,7 +212,7 @@ class ArmModel(StateSpaceModel):
 
     def emission(self, state: Tensor, t: Row) -> Distribution:
         """What sensors show in row ``t`` given x_t = ``state``; event shape (O,)."""
-        return self.sight.emission(state, t)
+        return self.observation_model.emission(state, t)
 
     def transition_mean(self, state: Tensor, t: Row) -> Tensor:
         """E[x_t | x_{t−1} = state], shape (..., D)."""
@@ -217,7 +220,7 @@ class ArmModel(StateSpaceModel):
 
     def acceleration(self, state: Tensor, t: Row, body: Any) -> Tensor:
         """θ̈ at row ``t`` in ``state``, (..., K), under the mean of the commands before and after it, which may jump."""
-        return self.sight.acceleration(state, t, body)
+        return self.observation_model.acceleration(state, t, body)
 
     def late(self, t: Row) -> Tensor | None:
         """Sd (..., K), N·m, of what late motors still do in the step into row ``t``; see :meth:`.Transition.late`."""

@@ -20,7 +20,9 @@ from invdyn.models.observation.view import View
 
 
 class CameraLatency(Effect):
-    """The picture in a row was taken δ before its time; encoders are followed over δ (:mod:`..articulated.sight`).
+    """The picture in a row was taken δ before its time.
+
+    Encoders are followed over δ (:mod:`..articulated.observation_model`).
 
     Without encoders it cannot be told from motors that act late, and without commands either from nothing at all.
     """

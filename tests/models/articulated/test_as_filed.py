@@ -173,17 +173,19 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     states = [state]
     for row in (4, 5):
         states.append(model.transition_mean(states[-1], row))
-    view = model.sight.view(state, 3)
+    view = model.observation_model.view(state, 3)
     _, q, qd = model.split(torch.stack(states))
     for rows in (0, 1, 2):
         later = view.angles_after(torch.tensor([0.02 * rows], dtype=dtype))
         # a straight line stands for a command that jumps within a stretch
         np.testing.assert_allclose(later, q[rows], atol=2e-4)
-    third_order = model.sight._to_third_order(state, 3, model.body_parameters(), torch.tensor([0.04], dtype=dtype))
+    third_order = model.observation_model._to_third_order(
+        state, 3, model.body_parameters(), torch.tensor([0.04], dtype=dtype)
+    )
     assert (third_order - q[2]).abs().max() > 0.02
     ago = torch.tensor([-0.002], dtype=dtype)
-    back = model.sight._to_third_order(states[1], 4, model.body_parameters(), ago)
-    assert torch.equal(model.sight.view(states[1], 4).angles_after(ago), back)
+    back = model.observation_model._to_third_order(states[1], 4, model.body_parameters(), ago)
+    assert torch.equal(model.observation_model.view(states[1], 4).angles_after(ago), back)
     np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
 
 

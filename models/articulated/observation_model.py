@@ -33,7 +33,7 @@ LATER = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class ObservationModel:
     """A body with its drive before sensors.
 
     Attributes:
