@@ -1,9 +1,4 @@
-"""Limits on what reading a file may cost; all are checked before anything is unpacked.
-
-The sender pays for a file's own bytes, so limits grow with them; a small file gets a fixed share. `LIMITS` has the
-numbers. They were chosen on a machine with 2 GiB of memory, on which no file may end the process, and such that
-recordings of an hour are read.
-"""
+"""The budget of a file that is read: how much of :class:`.limits.Limits` is left."""
 
 import shutil
 from dataclasses import dataclass, field
@@ -11,45 +6,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import InputError
+from .limits import LIMITS
 from .paths import check_readable
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a reader may take.
-
-    Attributes:
-        memory: bytes of arrays of a small file.
-        memory_ratio: bytes of arrays for each byte of a larger file.
-        unpacked_ratio: bytes that a compressed stream may unpack to, for each byte of the file; `memory` at least.
-        chunk: bytes of one compressed chunk, unpacked; it is in memory as a whole.
-        document: bytes of a text that is parsed as a whole.
-        yaml: bytes of YAML, whose parser takes a second for 100 kB.
-        message: bytes of a log's message.
-        numbers: of a log, in all its tracks.
-        tracks: of a log.
-        records: of a small log.
-        record_bytes: of a larger log, for each record; skipping one takes a microsecond.
-        message_numbers: that a message counts for at least, since it takes as long to read.
-        query_steps: of SQLite's virtual machine, in all queries; about 5 s.
-    """
-
-    memory: int = 2**30
-    memory_ratio: int = 10
-    unpacked_ratio: int = 100
-    chunk: int = 2**28
-    document: int = 2**24
-    yaml: int = 2**20
-    message: int = 2**24
-    numbers: int = 2**25
-    tracks: int = 10_000
-    records: int = 2**23
-    record_bytes: int = 64
-    message_numbers: int = 16
-    query_steps: int = 500_000_000
-
-
-LIMITS = Limits()
 
 
 def memory_limit(size: int) -> int:

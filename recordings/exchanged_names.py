@@ -16,11 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from .errors import InputError
-
-MIN_MISFIT = 0.15
-"""r that noise and markers next to their joints rarely reach."""
-MAX_MISFIT_LEFT = 0.3
-"""Of r, after an exchange that explains it."""
+from .limits import PLAUSIBLE
 
 
 def check_names(
@@ -34,7 +30,7 @@ def check_names(
         keypoints: names that the recording gave.
     """
     own = _misfit(points, lengths)
-    if not own > MIN_MISFIT:
+    if not own > PLAUSIBLE.misfit:
         return
     ends = [name for name in dict.fromkeys(name for pair in lengths for name in pair) if name in keypoints]
     tried = {
@@ -43,7 +39,7 @@ def check_names(
     }
     none = (("", ""), np.inf)
     (one, other), left = min(tried.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf), default=none)
-    if left < MAX_MISFIT_LEFT * own:
+    if left < PLAUSIBLE.misfit_left * own:
         raise InputError(
             f"keypoints {one!r} and {other!r} seem to be exchanged: distances differ from the body's lengths by "
             f"{100 * own:.0f} % (median, at any scale), with the two names exchanged by {100 * left:.0f} %: "

@@ -9,8 +9,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .budget import LIMITS, memory_limit
+from .budget import memory_limit
 from .errors import InputError, first_line
+from .limits import LIMITS
 from .paths import check_readable
 
 

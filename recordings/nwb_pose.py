@@ -15,10 +15,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .budget import LIMITS
 from .deeplabcut import choose_individual
 from .errors import InputError, about, first_line
 from .hdf5_size import bytes_of
+from .limits import LIMITS
 from .paths import check_readable
 from .recording import Recording
 

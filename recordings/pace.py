@@ -4,13 +4,13 @@ The period of a pendulum as long as the body, T = 2π √(L/g), is a natural uni
 frame numbers, and radians from degrees:
 
     rows      come at least four times a period (a quarter of it is the fall from level to hanging), else motion is
-              not resolved; and no faster than `MIN_INTERVAL`
+              not resolved; and no faster than `PLAUSIBLE.interval`
     speeds    have Froude numbers v²/(g L), the tip's centripetal over gravity's acceleration (Alexander, Physiol. Rev.
               69, 1989), of the order of 1: the robots and passive pendulums that come with this package lie between 0
               and 4.3; minutes taken for seconds raise it 3,600-fold, degrees taken for radians 3,283-fold
 
-v is the mean speed over `BASELINE`, over which noise is averaged. It must be exceeded in a quarter of the rows, so that
-neither rest nor a few outliers count. g = 9.81 m/s², for all gravities in the body's own plane.
+v is the mean speed over `PLAUSIBLE.speed_baseline`, over which noise is averaged. It must be exceeded in a quarter of
+the rows, so that neither rest nor a few outliers count. g = 9.81 m/s², for all gravities in the body's own plane.
 """
 
 import warnings
@@ -20,14 +20,11 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .limits import PLAUSIBLE
 from .recording import Recording
 from .units import TIMES, Units
 
 GRAVITY = 9.81  # m/s²
-MIN_INTERVAL = 1e-5  # s between rows, a tenth of a fast camera's or a motor controller's
-TYPICAL_INTERVAL = 0.02  # s, between a film's 1/30 and a robot's log
-MAX_FROUDE = 20.0  # four revolutions a second of a link of .3 m
-BASELINE = 0.1  # √(L/g), of a speed
 
 
 def swing(length: float) -> float:
@@ -52,11 +49,13 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
         raise InputError(
             f"times near {time[0]:.9g} s have too few digits for rows {interval:.3g} s apart: count from the first row"
         )
-    if MIN_INTERVAL <= interval <= slowest:
+    if PLAUSIBLE.interval <= interval <= slowest:
         return
     whole = bool((time == np.round(time)).all()) and interval == 1.0
-    fitting = [unit for unit, size in TIMES.items() if 10 * MIN_INTERVAL <= interval * size <= slowest]
-    likely = min(fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / TYPICAL_INTERVAL)), default=None)
+    fitting = [unit for unit, size in TIMES.items() if 10 * PLAUSIBLE.interval <= interval * size <= slowest]
+    likely = min(
+        fitting, key=lambda unit: abs(np.log(interval * TIMES[unit] / PLAUSIBLE.typical_interval)), default=None
+    )
     if whole and units.mapping is None:
         hint = "these look like frame numbers: pass --units frames --fps with the frame rate"
     elif likely is not None:
@@ -77,7 +76,7 @@ def froude(places: np.ndarray, time: np.ndarray, length: float) -> float:
     places, time = places[seen], time[seen]
     if len(time) < 2:
         return 0.0
-    rows = round(BASELINE * np.sqrt(length / GRAVITY) / np.median(np.diff(time)))
+    rows = round(PLAUSIBLE.speed_baseline * np.sqrt(length / GRAVITY) / np.median(np.diff(time)))
     rows = min(max(rows, 1), len(time) - 1)
     speed = np.linalg.norm(places[rows:] - places[:-rows], axis=-1) / (time[rows:] - time[:-rows])
     return float(np.quantile(speed, 0.75) ** 2 / (GRAVITY * length))

@@ -11,30 +11,25 @@ import numpy as np
 
 from .errors import InputError
 from .exchanged_names import check_names
-from .pace import MAX_FROUDE, check_interval, froude
+from .limits import PLAUSIBLE
+from .pace import check_interval, froude
 from .recording import Recording
 from .units import METRES, RADIANS, Units, median_distances
 
-MAX_EXTENT = 20.0  # m between two keypoints of one body; pixels and millimetres exceed it
-MAX_ANGLE = 50.0  # rad, eight revolutions of a joint; degrees exceed it
-MAX_LENGTH_RATIO = 3.0  # observed over given link length, or its inverse, for an uncertain length
-MAX_KNOWN_LENGTH_RATIO = 1.5  # the same for an exact length: a picture only shortens; markers and lenses change a fifth
-MAX_BODY_LENGTH_ERROR = 0.2  # of a body whose lengths are fractions of its own
 BASE = "the base"
 """Name of the first joint's position, which is no keypoint."""
-MIN_WRONG, MAX_RIGHT = 0.5, 0.15  # rad, median difference from the keypoints' directions in the wrong and right unit
 
 
 def check_magnitudes(recording: Recording, units: Units) -> None:
     """Raise InputError when lengths are too large for metres, or undeclared angles for radians."""
-    if recording.length_unit == "m" and (extent := _extent(recording)) > MAX_EXTENT:
+    if recording.length_unit == "m" and (extent := _extent(recording)) > PLAUSIBLE.extent:
         raise InputError(
             f"keypoints extend over {extent:.3g} m, too much for one body; "
             + (_odd_columns(recording) or "these look like pixels: pass --units px (or mm, cm)")
         )
     if units.angle is None and recording.angles is not None:
         largest = np.nanmax(np.abs(recording.angles), initial=0.0)
-        if largest > MAX_ANGLE:
+        if largest > PLAUSIBLE.angle:
             raise InputError(
                 f"angles reach {largest:.3g}, too much for radians; these look like degrees: "
                 f"{units.put('deg')} ({units.accepts('rad')} if radians they are)"
@@ -47,7 +42,7 @@ def check_shifts(recording: Recording, slides: Collection[str], units: Units) ->
         return
     for name, shift in zip(recording.joint_names, recording.angles.T, strict=True):
         known = shift[np.isfinite(shift)]
-        if name in slides and known.size and (extent := float(np.ptp(known))) > MAX_EXTENT:
+        if name in slides and known.size and (extent := float(np.ptp(known))) > PLAUSIBLE.extent:
             line = f'write unit = "mm" (or "cm") in the line "angle = …" of [joints.{name}] in {units.mapping}'
             raise InputError(
                 f"joint {name} shifts by {extent:.3g} m, too much for one body; these look like mm or cm: "
@@ -82,7 +77,7 @@ def check_plausible(
     lengths, total = list(link_lengths), float(sum(link_lengths))
     if recording.length_unit == "px":
         total = 1.0  # of an arm whose size is not known, at most
-    if recording.length_unit == "body length" and abs(total - 1) > MAX_BODY_LENGTH_ERROR:
+    if recording.length_unit == "body length" and abs(total - 1) > PLAUSIBLE.body_length_error:
         raise InputError(
             f"keypoints are in body lengths, but this body's links are {total:.3g} long together: "
             "give lengths that add up to 1, or scale the keypoints by the body's own length"
@@ -137,7 +132,7 @@ def check_in_space(
         known[BASE] = np.broadcast_to(np.asarray(base), (recording.num_frames, 3))
         for name in recording.keypoint_names:
             (observed,) = median_distances(np.stack([known[BASE], known[name]], axis=1))
-            if observed > (MAX_LENGTH_RATIO if guessed else MAX_KNOWN_LENGTH_RATIO) * farthest:
+            if observed > (PLAUSIBLE.length_ratio if guessed else PLAUSIBLE.known_length_ratio) * farthest:
                 raise InputError(
                     f"{name} lies {observed:.3g} m from the base (median), and the body reaches {farthest:.3g} m at "
                     "most: check --units, or pass --base with the keypoint at the first joint, if the recording has "
@@ -157,7 +152,7 @@ def check_in_space(
 def _odd_columns(recording: Recording) -> str:
     """Advice where some columns seem to be in a smaller unit than the others; "" where none are.
 
-    Centimetres among metres are a hundred times as large, up to `MAX_LENGTH_RATIO`.
+    Centimetres among metres are a hundred times as large, up to a link's own tolerance.
     """
     columns = {
         f"{name}_{'xyz'[axis]}": np.median(np.abs(values[np.isfinite(values)]))
@@ -168,7 +163,7 @@ def _odd_columns(recording: Recording) -> str:
     ranked = sorted(columns, key=lambda name: columns[name])
     for one, other in pairwise(ranked):
         small, large = columns[one], columns[other]
-        if small > 0 and large * METRES["cm"] * MAX_LENGTH_RATIO >= small * METRES["m"]:
+        if small > 0 and large * METRES["cm"] * PLAUSIBLE.length_ratio >= small * METRES["m"]:
             odd, rest = ranked[ranked.index(other) :], ranked[: ranked.index(other)]
             what = f"{', '.join(odd)} {'is' if len(odd) == 1 else 'are'} about {large:.3g}"
             return (
@@ -180,11 +175,11 @@ def _odd_columns(recording: Recording) -> str:
 
 def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, recording: Recording) -> None:
     unit = recording.length_unit
-    longest = MAX_LENGTH_RATIO if guessed else MAX_KNOWN_LENGTH_RATIO
-    if np.isfinite(observed) and not 1 / MAX_LENGTH_RATIO <= observed / length <= longest:
+    longest = PLAUSIBLE.length_ratio if guessed else PLAUSIBLE.known_length_ratio
+    if np.isfinite(observed) and not 1 / PLAUSIBLE.length_ratio <= observed / length <= longest:
         usual = (
             "check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
-            f"{MAX_LENGTH_RATIO:g}"
+            f"{PLAUSIBLE.length_ratio:g}"
         )
         raise InputError(
             f"{ends[0]} and {ends[1]} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} "
@@ -193,7 +188,7 @@ def _check_length(ends: tuple[str, str], observed: float, length: float, guessed
 
 
 def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: float, units: Units) -> None:
-    if (number := froude(length * angle[:, None], time, length)) > MAX_FROUDE:
+    if (number := froude(length * angle[:, None], time, length)) > PLAUSIBLE.froude:
         raise InputError(
             f"joint {joint} turns too fast: in a quarter of the rows the tip of its {length:.3g} m link feels "
             f"{number:.3g} times gravity. These look like degrees: {units.put('deg')}. If they are radians, "
@@ -220,7 +215,7 @@ def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Seque
             _check_turning(name, angle, recording.time, length, units)
     if chain is not None and units.time is None:
         for k, length in enumerate(lengths):
-            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > MAX_FROUDE:
+            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > PLAUSIBLE.froude:
                 raise InputError(
                     f"{recording.keypoint_names[k - len(lengths)]} moves too fast: in a quarter of the rows it feels "
                     f"{number:.3g} times gravity about the joint before it. Check --fps, and that times are seconds; "
@@ -242,7 +237,7 @@ def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> Non
 
     declared = units.angle or "rad"
     other = "deg" if declared == "rad" else "rad"
-    if off(1.0) > MIN_WRONG and off(RADIANS[other] / RADIANS[declared]) < MAX_RIGHT:
+    if off(1.0) > PLAUSIBLE.wrong_angle and off(RADIANS[other] / RADIANS[declared]) < PLAUSIBLE.right_angle:
         raise InputError(
             f"angles taken as {declared} are {off(1.0):.2g} rad (median) from the directions that the keypoints show, "
             f"taken as {other} they fit: {units.put(other)}"

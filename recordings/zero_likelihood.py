@@ -16,14 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from .errors import InputError
+from .limits import PLAUSIBLE
 from .recording import Recording
-
-MIN_REPEATS = 3
-"""Rows with the same position that cause a warning."""
-MIN_POSITIONS = 10
-"""Rows with a position, for a longest step to be meaningful."""
-LOW_LIKELIHOOD = 0.5
-"""Of a keypoint's median."""
 
 
 def without_zeros(recording: Recording, pixels: bool) -> Recording:
@@ -67,7 +61,7 @@ def _unreached(track: np.ndarray, zero: np.ndarray) -> bool:
     """Whether the origin lies farther from all other positions of a track (T, S) than the longest step between them."""
     others = track[np.isfinite(track).all(axis=-1) & ~zero]
     distance, step = (np.linalg.norm(each, axis=-1) for each in (others, np.diff(others, axis=0)))
-    return len(others) >= MIN_POSITIONS and bool(distance.min() > step.max(initial=0.0))
+    return len(others) >= PLAUSIBLE.positions and bool(distance.min() > step.max(initial=0.0))
 
 
 def _warn_of_repeats(name: str, track: np.ndarray, confidence: np.ndarray) -> None:
@@ -76,11 +70,11 @@ def _warn_of_repeats(name: str, track: np.ndarray, confidence: np.ndarray) -> No
     runs = [
         (start, stop + 1)
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop + 1 - start >= MIN_REPEATS
+        if stop + 1 - start >= PLAUSIBLE.repeats
     ]
     if not runs or np.isnan(confidence).all():
         return
-    low = LOW_LIKELIHOOD * np.nanmedian(confidence)
+    low = PLAUSIBLE.low_likelihood * np.nanmedian(confidence)
     # A likelihood that is missing is not a low one.
     known = [(start, stop) for start, stop in runs if not np.isnan(confidence[start:stop]).all()]
     doubted = [(start, stop) for start, stop in known if np.nanmax(confidence[start:stop]) < low]

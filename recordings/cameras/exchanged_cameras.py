@@ -11,13 +11,10 @@ from itertools import combinations
 import numpy as np
 
 from ..errors import InputError
+from ..limits import PLAUSIBLE
 from .triangulate import triangulate
 from .views import Views
 
-USUAL_ERROR, MAX_ERROR = 0.01, 0.1
-"""e/E: up to the first nothing is checked; beyond the second the error is no tracker's."""
-MAX_ERROR_LEFT = 0.5
-"""Of e, if exchanging two cameras is to explain the error."""
 TRIAL_ROWS = 40
 """Rows on which an exchange is tried."""
 
@@ -31,19 +28,19 @@ def suspicion(views: Views, residuals: np.ndarray) -> str | None:
     """
     some = np.unique(np.linspace(0, len(views.time) - 1, TRIAL_ROWS).round().astype(int))
     own, extent = _median(residuals[some]), _extent(views.pixels)
-    if not own > USUAL_ERROR * extent > 0:
+    if not own > PLAUSIBLE.reprojection * extent > 0:
         return None
     where = f"pixels lie {own:.3g} px from where the points would be seen (median)"
     few = views.at(some)
     tried = {pair: _exchanged(few, pair) for pair in combinations(range(len(views.calibration)), 2)}
     (one, other), left = min(tried.items(), key=lambda item: item[1])
-    if left < MAX_ERROR_LEFT * own:
+    if left < PLAUSIBLE.reprojection_left * own:
         names = views.calibration.names
         return (
             f"{where}, and {left:.3g} px if {names[one]} and {names[other]} have each other's tracks: exchange these "
             "two files, or the two cameras' names in the calibration"
         )
-    if own > MAX_ERROR * extent:
+    if own > PLAUSIBLE.reprojection_of_trackers * extent:
         return (
             f"{where}, {100 * own / extent:.0f} % of the body's extent, far beyond a tracker's errors: are files and "
             "cameras exchanged, or tracks, times and calibration of different films?"

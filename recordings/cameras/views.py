@@ -13,15 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, about
+from ..limits import PLAUSIBLE
 from ..loader import read_file
 from ..recording import Recording
 from .camera import Calibration, Camera
 from .projection import undistort
-
-MAX_STAMP_DIFFERENCE = 0.05
-"""Between stamps of one moment, in frame intervals."""
-MIN_EXTENT = 20.0
-"""px. Tracks below it are taken to be in metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +160,7 @@ def _check_pixels(recording: Recording, camera: Camera) -> None:
     if recording.confidence is not None and ((recording.confidence > 1) | (recording.confidence < 0)).any():
         raise InputError("the likelihoods are not between 0 and 1: expected those of a tracker")
     points = recording.keypoints[np.isfinite(recording.keypoints).all(-1)]
-    if len(points) and np.abs(points).max() < MIN_EXTENT:
+    if len(points) and np.abs(points).max() < PLAUSIBLE.pixel_extent:
         raise InputError(f"tracks of at most {np.abs(points).max():.3g} px: these look like metres; expected pixels")
     if camera.size is not None:
         outside = ((points < 0) | (points > camera.size)).any(-1).mean()
@@ -199,7 +195,7 @@ def _check_times(track: Recording, first: Recording, name: str) -> None:
         raise InputError(f"camera {name!r} has {track.num_frames} rows, the first camera {first.num_frames}: {fix}")
     apart = track.time - first.time
     worst = apart[np.abs(apart).argmax()]
-    if abs(worst) > MAX_STAMP_DIFFERENCE * first.frame_interval:
+    if abs(worst) > PLAUSIBLE.stamp_difference * first.frame_interval:
         raise InputError(f"times of camera {name!r} are {worst:+.4g} s off those of the first camera: {fix}")
 
 

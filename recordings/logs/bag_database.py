@@ -14,8 +14,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from ..budget import LIMITS
 from ..errors import InputError
+from ..limits import LIMITS
 from .mcap_file import decoders, plain
 from .messages import Collected, known
 from .tracks import needed

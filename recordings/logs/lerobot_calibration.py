@@ -14,8 +14,9 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
-from ..budget import LIMITS, read_document
+from ..budget import read_document
 from ..errors import InputError
+from ..limits import LIMITS
 
 TICKS = 4096  # of a revolution
 

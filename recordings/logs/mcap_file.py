@@ -15,8 +15,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..budget import LIMITS, Budget
+from ..budget import Budget
 from ..errors import InputError, readable
+from ..limits import LIMITS
 from ..paths import check_readable
 from .messages import Collected, known
 from .tracks import Episode, Needed, needed

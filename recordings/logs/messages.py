@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from ..budget import LIMITS, Budget
+from ..budget import Budget
 from ..errors import InputError, first_line
+from ..limits import LIMITS, PLAUSIBLE
 from .tracks import Episode, Needed, Track
 
 PACKAGES = {
@@ -30,8 +31,6 @@ PACKAGES = {
 TARGETS = ("JointTrajectory",)
 QUANTITIES = ("position", "velocity", "effort")
 POINT = {"position": "positions", "velocity": "velocities", "effort": "effort"}
-MAX_FIRST_INTERVAL = 10
-"""Median intervals from a stamp of 0 to the next one, at most, if 0 is a time."""
 
 
 Layout = tuple[tuple[str, tuple[str, ...] | int], ...]
@@ -153,7 +152,7 @@ def _times(own: _Topic, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
     rest = np.sort(stamps[~without])
     interval = float(np.median(np.diff(rest))) if len(rest) > 1 else 0.0
-    if without.sum() == 1 and abs(rest[0]) <= MAX_FIRST_INTERVAL * interval:
+    if without.sum() == 1 and abs(rest[0]) <= PLAUSIBLE.first_interval * interval:
         return stamps, np.ones(len(stamps), dtype=bool)
     if without.any():
         warnings.warn(

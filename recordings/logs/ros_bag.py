@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
-from ..budget import LIMITS, Budget, read_document
+from ..budget import Budget, read_document
 from ..errors import InputError, about, readable
+from ..limits import LIMITS
 from .bag_database import collect_database
 from .mcap_file import collect_mcap
 from .messages import Collected

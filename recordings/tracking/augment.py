@@ -13,37 +13,44 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Half ranges of uniform distributions.
-ANGLE = math.radians(20)
-LOG_SCALE = 0.2
-SHIFT = 0.08  # of the picture's longer side
-BRIGHTNESS = 20.0  # of 255
-CONTRAST = 0.2  # of 1
-MAX_BLUR = 0.02  # of the longer side
 
+def augment(
+    pictures: Tensor,
+    points: Tensor,
+    rng: torch.Generator,
+    *,
+    angle: float = math.radians(20),
+    log_scale: float = 0.2,
+    shift: float = 0.08,
+    brightness: float = 20.0,
+    contrast: float = 0.2,
+    blur: float = 0.02,
+) -> tuple[Tensor, Tensor]:
+    """Pictures and points, each changed independently; `rng` decides how.
 
-def augment(pictures: Tensor, points: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Pictures and points, each changed independently; `rng` decides how."""
+    The numbers are half ranges of uniform distributions: of the angle (rad), the logarithm of the scale, the shift and
+    the blur's reach (of the picture's longer side), the brightness (of 255) and the contrast (of 1).
+    """
     count, _, height, width = pictures.shape
     longest = max(height, width)
 
     def uniform(*shape: int) -> Tensor:
         return 2 * torch.rand(*shape, generator=rng) - 1
 
-    angle, scale = ANGLE * uniform(count), torch.exp(LOG_SCALE * uniform(count))
-    shift = SHIFT * longest * uniform(count, 2)
-    cos, sin = scale * torch.cos(angle), scale * torch.sin(angle)
+    turn, scale = angle * uniform(count), torch.exp(log_scale * uniform(count))
+    move = shift * longest * uniform(count, 2)
+    cos, sin = scale * torch.cos(turn), scale * torch.sin(turn)
     A = torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], -2)
     centre = torch.tensor([width - 1, height - 1]) / 2
     # affine_grid counts from −1 to 1 across the picture along each axis
     half = torch.tensor([width, height]) / 2
-    theta = torch.cat([A * half / half[:, None], (shift / half)[..., None]], -1)
+    theta = torch.cat([A * half / half[:, None], (move / half)[..., None]], -1)
     grid = F.affine_grid(theta, list(pictures.shape), align_corners=False)
     changed = F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
-    moved = torch.linalg.solve(A, (points - centre - shift[:, None]).mT).mT + centre
-    changed = _blurred(changed, max(1, round(MAX_BLUR * longest)), rng)
-    light = BRIGHTNESS * uniform(count, 1, 1, 1) + BRIGHTNESS / 2 * uniform(count, 3, 1, 1)
-    return ((1 + CONTRAST * uniform(count, 1, 1, 1)) * changed + light).clamp(0, 255), moved
+    moved = torch.linalg.solve(A, (points - centre - move[:, None]).mT).mT + centre
+    changed = _blurred(changed, max(1, round(blur * longest)), rng)
+    light = brightness * uniform(count, 1, 1, 1) + brightness / 2 * uniform(count, 3, 1, 1)
+    return ((1 + contrast * uniform(count, 1, 1, 1)) * changed + light).clamp(0, 255), moved
 
 
 def _blurred(pictures: Tensor, reach: int, rng: torch.Generator) -> Tensor:

@@ -15,18 +15,20 @@ from .film import Film
 from .tracker import Progress
 
 THUMBNAIL_SIDE = 32  # px of the longer side
-MAX_COMPARED = 2000  # pictures
-MIN_DISTANCE = 3  # pictures between two surprising ones
 
 
-def different(film: Film, count: int, labelled: Collection[int] = (), progress: Progress | None = None) -> list[int]:
+def different(
+    film: Film, count: int, labelled: Collection[int] = (), progress: Progress | None = None, compared: int = 2000
+) -> list[int]:
     """Numbers of `count` pictures, rising, that differ from one another and from those that are labelled.
+
+    At most about `compared` pictures, at equal intervals, are considered.
 
     Fewer, where the film has no more. Raises InputError where all are labelled.
     """
     factor = THUMBNAIL_SIDE / max(film.width, film.height)
     size = max(2, round(factor * film.height)), max(2, round(factor * film.width))
-    stride = max(1, film.expected // MAX_COMPARED)
+    stride = max(1, film.expected // compared)
     numbers, thumbnails = [], []
     for picture in film.pictures(size):
         if picture.number % stride == 0 or picture.number in labelled:
@@ -54,16 +56,19 @@ def different(film: Film, count: int, labelled: Collection[int] = (), progress: 
     return sorted(numbers[index] for index in chosen)
 
 
-def surprising(surprise: np.ndarray, numbers: np.ndarray, count: int, labelled: Collection[int] = ()) -> list[int]:
+def surprising(
+    surprise: np.ndarray, numbers: np.ndarray, count: int, labelled: Collection[int] = (), apart: int = 3
+) -> list[int]:
     """Numbers of up to `count` pictures, rising, of the largest surprise (T,); `numbers` (T,) are theirs.
 
+    Two of them are at least `apart` pictures from each other.
     A surprise that is not finite does not count.
     """
     chosen: list[int] = []
     known = np.flatnonzero(np.isfinite(surprise))
     for index in known[np.argsort(-surprise[known], kind="stable")]:
         number = int(numbers[index])
-        if number not in labelled and all(abs(number - other) >= MIN_DISTANCE for other in chosen):
+        if number not in labelled and all(abs(number - other) >= apart for other in chosen):
             chosen.append(number)
         if len(chosen) == count:
             break

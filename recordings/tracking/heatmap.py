@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from ..atomic import atomic_path
-from ..budget import LIMITS
 from ..errors import InputError, first_line
+from ..limits import LIMITS
 from ..paths import check_readable
 from .confidence import platt
 from .unet import UNet, activations, peaks

@@ -23,9 +23,6 @@ from .labels import Labels
 from .tracker import Keeper, Progress
 from .unet import UNet, peaks, targets
 
-BATCH = 8  # pictures of a step
-LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4  # of AdamW
-WARM_UP = 50  # steps
 VALIDATION = 8  # one label of so many
 MIN_LABELS = 4
 TARGET_SD = 0.01  # of a target's Gaussian, in the picture's longer side; at least 1.5 px
@@ -96,6 +93,10 @@ def train(
     steps: int = 500,
     seed: int = 0,
     widths: Sequence[int] = (16, 24, 32, 48, 64),
+    batch_size: int = 8,
+    learning_rate: float = 3e-3,
+    weight_decay: float = 1e-4,
+    warm_up: int = 50,
     progress: Progress | None = None,
     keeper: Keeper | None = None,
 ) -> Trained:
@@ -103,9 +104,11 @@ def train(
 
     Args:
         given: labelled pictures.
-        steps: of `BATCH` pictures each.
+        steps: of `batch_size` pictures each.
         seed: of all that is random.
         widths: channels of the network, from the finest level to the coarsest.
+        batch_size, learning_rate, weight_decay: of AdamW.
+        warm_up: steps in which the learning rate rises to its value.
         progress: called as progress(done, total, what).
         keeper: where the run is saved.
     """
@@ -122,7 +125,7 @@ def train(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(np.random.SeedSequence([seed, 1 << 31]).generate_state(1)[0]))
         network = UNet(len(given.names), widths).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=learning_rate, weight_decay=weight_decay)
     begin = 0
     if keeper is not None and (kept := keeper.load()) is not None:
         _restore(network, optimizer, kept[0])
@@ -131,7 +134,7 @@ def train(
     network.train()
     for step in range(begin, steps):
         rng = generator(step + 1)
-        which = own[torch.randint(len(own), (BATCH,), generator=rng)]
+        which = own[torch.randint(len(own), (batch_size,), generator=rng)]
         batch, places = augment(pictures[which].permute(0, 3, 1, 2).float(), points[which], rng)
         maps = network(normalised(batch.permute(0, 2, 3, 1), mean.tolist(), deviation.tolist()))
         target = targets(places, (maps.shape[-2], maps.shape[-1]), target_sd)
@@ -140,7 +143,7 @@ def train(
         loss = losses.sum() / seen.sum().clamp(min=1.0)
         for group in optimizer.param_groups:
             group["lr"] = (
-                LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.02 + 0.98 * np.cos(np.pi * step / steps))
+                learning_rate * min(1.0, (step + 1) / warm_up) * 0.5 * (1.02 + 0.98 * np.cos(np.pi * step / steps))
             )
         optimizer.zero_grad()
         loss.backward()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from invdyn.recordings import InputError, Recording, bridged, check_plausible, load, names, parse_units
-from invdyn.recordings.pace import MAX_FROUDE, froude, swing
+from invdyn.recordings.limits import PLAUSIBLE
+from invdyn.recordings.pace import froude, swing
 
 LENGTHS = (0.4, 0.35)
 RATE = 50.0
@@ -39,7 +40,7 @@ def test_a_swing_and_a_froude_number():
     noisy = turning + 0.002 * np.random.default_rng(0).standard_normal(turning.shape)
     assert froude(noisy, time, 0.5) == pytest.approx(6.0**2 * 0.5 / 9.81, rel=0.1)
     noisy[::9] = [3.0, 3.0]  # lost points
-    assert froude(noisy, time, 0.5) < MAX_FROUDE
+    assert froude(noisy, time, 0.5) < PLAUSIBLE.froude
 
 
 def test_an_arm_in_body_lengths_is_not_told_in_metres():

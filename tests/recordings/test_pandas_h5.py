@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from invdyn.recordings import InputError, load
-from invdyn.recordings.budget import Limits
+from invdyn.recordings.limits import Limits
 from invdyn.recordings.pandas_h5 import read_pandas_h5
 
 tables = pytest.importorskip("tables")

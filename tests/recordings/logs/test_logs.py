@@ -8,6 +8,7 @@ from log_files import ANGLE, EFFORT, JOINTS, STATE, TIME, bag, joint_states, ler
 from log_files import LEROBOT as MAPPING
 
 from invdyn.recordings import InputError
+from invdyn.recordings.limits import Limits
 from invdyn.recordings.logs import LogMap, recordings_of
 
 LEROBOT = LogMap.of(MAPPING)
@@ -454,7 +455,7 @@ def test_a_database_outside_of_the_folder_is_not_read(tmp_path, how):
 def test_a_query_without_end_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("rosbags")
     path = bag(tmp_path / "bag")
-    monkeypatch.setattr("invdyn.recordings.logs.bag_database.STEPS", 5)
-    monkeypatch.setattr("invdyn.recordings.logs.bag_database.BETWEEN", 1)
+    monkeypatch.setattr("invdyn.recordings.logs.bag_database.LIMITS", Limits(query_steps=5))
+    monkeypatch.setattr("invdyn.recordings.logs.bag_database.STEPS_BETWEEN_CHECKS", 1)
     with pytest.raises(InputError, match=r"bag\.db3: its tables take more than 5e\+00 steps"):
         recordings_of(path, JOINTS)
