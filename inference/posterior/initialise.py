@@ -38,7 +38,7 @@ from invdyn.models import (
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.kinematics import joint_angle_candidates
-from invdyn.models.observation.pixels import USUAL_BIAS, Pixels
+from invdyn.models.observation.pixels import DEFAULT_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
@@ -239,7 +239,7 @@ def _angle_sd(body: ArticulatedBody, observations: Tensor, observation: Observat
         return np.maximum(jitter(rows[:, observation.part(observation.encoders)]), 1e-6)
     if (pixels := observation.pixels) is not None:
         # What lasts of a tracker's errors is no jitter, and several pixels as a rule.
-        noise = pixels.resolution * np.maximum(sensor_jitter(observation, pixels, rows), USUAL_BIAS)
+        noise = pixels.resolution * np.maximum(sensor_jitter(observation, pixels, rows), DEFAULT_BIAS)
     elif observation.keypoints is not None:
         noise = sensor_jitter(observation, observation.keypoints, rows)
     else:

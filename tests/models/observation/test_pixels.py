@@ -15,7 +15,7 @@ from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, Sensor, SpatialLink, Tree
 from invdyn.models.observation.missing import observed_log_prob
-from invdyn.models.observation.pixels import STANDS
+from invdyn.models.observation.pixels import ROTATION_TIME
 from invdyn.models.observation.sensor import SensorWithStates
 from invdyn.recordings.cameras.projection import project
 
@@ -194,7 +194,7 @@ def test_turns_that_are_states_are_cameras_turned_about_their_places(lasting):
         np.testing.assert_allclose(seen[k], projected(model, state[None], cameras)[0], rtol=0, atol=1e-9)
     after = model.transition(x, 2)
     own = slice(model.torque_size + 12 * lasting, model.torque_size + 12 * lasting + 9)
-    torch.testing.assert_close(after.mean[:, own], x[:, own], rtol=DT / STANDS, atol=0)  # they stay
+    torch.testing.assert_close(after.mean[:, own], x[:, own], rtol=DT / ROTATION_TIME, atol=0)  # they stay
     assert (after.stddev[:, own] > 0).all()
     assert (after.stddev[:, own] < 0.003 * model.parameters["camera.turn_scale"][0]).all()
     assert model.lone == ((list(range(4, 16)), list(range(12))) if lasting else None)
