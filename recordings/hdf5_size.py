@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from .budget import memory_limit
-from .errors import InputError, first_line
+from .errors import InputError, readable
 from .limits import LIMITS
 from .paths import check_readable
 
@@ -23,13 +23,8 @@ def check_hdf5(path: str | Path) -> None:
     size = check_readable(path).stat().st_size
     with open(path, "rb"):  # not permitted: the system's own words are the clearest
         pass
-    try:
-        with h5py.File(path, "r") as store:
-            declared = _declared(store)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except Exception as error:  # a broken file fails anywhere inside HDF5
-        raise InputError(f"{path}: not a whole HDF5 file ({first_line(error)})") from None
+    with readable(path, "an HDF5 file"), h5py.File(path, "r") as store:
+        declared = _declared(store)
 
     if declared > (limit := memory_limit(size)):
         raise InputError(

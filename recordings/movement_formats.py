@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .deeplabcut import choose_individual
-from .errors import InputError, about, first_line
+from .errors import InputError, about, readable
 from .hdf5_size import check_hdf5
 from .recording import Recording
 
@@ -37,16 +37,13 @@ def read_with_movement(path: str | Path, software: str, fps: float, individual: 
     load_dataset = _import_movement(path)
     if Path(path).suffix.lower() != ".csv":
         check_hdf5(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the library itself
-            dataset = load_dataset(Path(path), source_software=SOFTWARE[software], fps=fps)
-            position = dataset.position.transpose("time", "individuals", "keypoints", "space")
-            confidence = dataset.confidence.transpose("time", "individuals", "keypoints").to_numpy()
-            animals, points = position.individuals.to_numpy().tolist(), position.keypoints.to_numpy().tolist()
-            time, tracks = position.time.to_numpy().astype(float), position.to_numpy()
-    except Exception as error:  # each format fails in its own way
-        raise InputError(f"{path}: not a whole {SOFTWARE[software]} file ({first_line(error)})") from None
+    with readable(path, f"a {SOFTWARE[software]} file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the library itself
+        dataset = load_dataset(Path(path), source_software=SOFTWARE[software], fps=fps)
+        position = dataset.position.transpose("time", "individuals", "keypoints", "space")
+        confidence = dataset.confidence.transpose("time", "individuals", "keypoints").to_numpy()
+        animals, points = position.individuals.to_numpy().tolist(), position.keypoints.to_numpy().tolist()
+        time, tracks = position.time.to_numpy().astype(float), position.to_numpy()
     with about(path):
         i = animals.index(choose_individual(animals, individual))
         return Recording(

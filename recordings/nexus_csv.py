@@ -17,9 +17,8 @@ from pathlib import Path
 
 from .deeplabcut import choose_individual
 from .errors import InputError, about
-from .paths import check_readable
 from .recording import Recording
-from .tables import read_numbers
+from .tables import read_lines, read_numbers
 from .units import METRES
 
 SECTION = "Trajectories"
@@ -41,10 +40,7 @@ def read_nexus_csv(path: str | Path, individual: str | None = None) -> Recording
             that was not chosen.
         OSError: a file that cannot be opened.
     """
-    try:
-        lines = check_readable(path).read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
+    lines = read_lines(path)
     with about(path):
         start = next((i for i, line in enumerate(lines) if re.match(rf'"?{SECTION}\b', line)), None)
         if start is None or len(lines) < start + 6:

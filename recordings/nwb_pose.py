@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from .deeplabcut import choose_individual
-from .errors import InputError, about, first_line
+from .errors import InputError, readable
 from .hdf5_size import bytes_of
 from .limits import LIMITS
 from .paths import check_readable
@@ -34,14 +34,8 @@ def read_nwb_pose(path: str | Path, individual: str | None = None) -> Recording:
         OSError: a file that cannot be opened.
     """
     check_readable(path)
-    with open(path, "rb") as file, about(path):
-        try:
-            with h5py.File(file, "r") as store:
-                return _recording(store, individual, Path(path).stem)
-        except InputError:
-            raise
-        except Exception as error:  # a broken file fails anywhere inside HDF5
-            raise InputError(f"not a whole NWB file ({first_line(error)})") from None
+    with open(path, "rb") as file, readable(path, "an NWB file"), h5py.File(file, "r") as store:
+        return _recording(store, individual, Path(path).stem)
 
 
 def _recording(store: h5py.File, individual: str | None, name: str) -> Recording:

@@ -13,9 +13,8 @@ import numpy as np
 
 from .atomic import write_text
 from .errors import InputError, about
-from .paths import check_readable
 from .recording import Recording
-from .tables import read_numbers
+from .tables import read_lines, read_numbers
 from .units import METRES
 
 TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
@@ -100,7 +99,7 @@ def motion_unit(path: str | Path) -> str | None:
 
     Raises InputError for another kind of file, and an inDegrees that is neither yes nor no.
     """
-    lines = _text_lines(path)
+    lines = read_lines(path)
     with about(path):
         given = _header(lines[: _end(lines)]).get("indegrees", "")
         if given and given.lower() not in ANGLES:
@@ -113,7 +112,7 @@ def read_sto(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises InputError for another kind of file or a count of rows or columns that is not the header's.
     """
-    lines = _text_lines(path)
+    lines = read_lines(path)
     with about(path):
         end = _end(lines)
         mark = "," if "," in lines[end + 1] else None  # None: any white space
@@ -150,7 +149,7 @@ def read_trc(path: str | Path) -> Recording:
 
     Raises InputError for another kind of file, or a unit that is not m, cm or mm.
     """
-    lines = _text_lines(path)
+    lines = read_lines(path)
     with about(path):
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise InputError("not an OpenSim .trc file: it must begin with PathFileType and hold five header lines")
@@ -176,10 +175,3 @@ def read_trc(path: str | Path) -> Recording:
             keypoint_names=markers,
             name=Path(path).stem,
         )
-
-
-def _text_lines(path: str | Path) -> list[str]:
-    try:
-        return check_readable(path).read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None

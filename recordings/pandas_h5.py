@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from .budget import memory_limit
-from .errors import InputError, first_line
+from .errors import InputError, readable
 from .hdf5_size import check_hdf5
 
 Label = tuple[str, ...]
@@ -32,28 +32,22 @@ def read_pandas_h5(path: str | Path, key: str) -> tuple[list[Label], np.ndarray,
     that are pickled objects, and rows without numbers; OSError for a file that cannot be opened.
     """
     check_hdf5(path)
-    with open(path, "rb") as file:
-        try:
-            with h5py.File(file, "r") as store:
-                group = store[key if key in store else next(iter(store))]
-                read = {b"frame": _fixed, b"frame_table": _appendable}.get(bytes(group.attrs.get("pandas_type", b"")))
-                if read is None:
-                    raise InputError(f"{group.name} is no table of pandas, frame or frame_table")
-                columns, rows, blocks = read(group)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        except Exception as error:  # a broken file fails anywhere inside HDF5
-            raise InputError(f"{path}: not a whole table of pandas ({first_line(error)})") from None
-    if 8 * len(rows) * len(columns) > (limit := memory_limit(Path(path).stat().st_size)):
-        raise InputError(
-            f"{path}: its table has {len(rows)} × {len(columns)} numbers, expected at most {limit / 2**30:.3g} GiB"
-        )
-    values = np.full((len(rows), len(columns)), np.nan)
-    place = {label: i for i, label in enumerate(columns)}
-    for labels, block in blocks:
-        if block.shape != (len(rows), len(labels)) or not set(labels) <= set(place):
-            raise InputError(f"{path}: not a whole table of pandas: its blocks do not fit its rows and columns")
-        values[:, [place[label] for label in labels]] = block
+    with open(path, "rb") as file, readable(path, "a table of pandas"):
+        with h5py.File(file, "r") as store:
+            group = store[key if key in store else next(iter(store))]
+            read = {b"frame": _fixed, b"frame_table": _appendable}.get(bytes(group.attrs.get("pandas_type", b"")))
+            if read is None:
+                raise InputError(f"{group.name} is no table of pandas, frame or frame_table")
+            columns, rows, blocks = read(group)
+        size = f"{len(rows)} × {len(columns)} numbers"
+        if 8 * len(rows) * len(columns) > (limit := memory_limit(Path(path).stat().st_size)):
+            raise InputError(f"its table has {size}, expected at most {limit / 2**30:.3g} GiB")
+        values = np.full((len(rows), len(columns)), np.nan)
+        place = {label: i for i, label in enumerate(columns)}
+        for labels, block in blocks:
+            if block.shape != (len(rows), len(labels)) or not set(labels) <= set(place):
+                raise InputError(f"expected blocks that fit a table of {size}, got one of shape {block.shape}")
+            values[:, [place[label] for label in labels]] = block
     return columns, rows, values
 
 

@@ -6,7 +6,7 @@ float64 arrays in the file's order, with a function that turns a 0-based row int
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,14 @@ from .errors import InputError, about, first_line
 from .paths import check_readable
 
 Row = tuple[int, list[str]]  # line number in the file, and the cells
+
+
+def read_lines(path: str | Path) -> list[str]:
+    """Lines of a text file in UTF-8. Raises InputError for another file, OSError as :func:`read_rows`."""
+    try:
+        return check_readable(path).read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
 
 
 def read_rows(path: str | Path) -> list[Row]:
@@ -65,7 +73,7 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
     def where(row: int) -> str:
         return f"row {row + 1} (line {rows[row][0]})"
 
-    _check_lengths(rows, columns)
+    check_lengths(rows, columns)
     try:
         numbers = np.array([[_number(cell) for cell in cells] for _, cells in rows])
     except ValueError:
@@ -79,44 +87,16 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
 
 def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
     """Columns by name, and the words for a row. Raises InputError as above, or for a bad header."""
-    header, rows = _header_and_rows(path)
+    header, rows = header_and_rows(path)
     with about(path):
         if not all(header):
             raise InputError("the header has a column without a name")
-        _check_once(header, header)
+        check_once(header, header)
         numbers, where = read_numbers(rows, header)
     return dict(zip(header, numbers.T, strict=True)), where
 
 
-class Columns(Mapping[str, np.ndarray]):
-    """A table's columns that have a name, each converted to numbers when it is looked up.
-
-    Columns of words, or without a name, are allowed unless they are looked up. Raises InputError as above for another
-    kind of file, and at a look-up for a name that the header has twice.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self._path = path
-        self._header, self._rows = _header_and_rows(path)
-        with about(path):
-            _check_lengths(self._rows, self._header)
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if not name or name not in self._header:
-            raise KeyError(name)
-        place = self._header.index(name)
-        with about(self._path):
-            _check_once(self._header, [name])
-            return read_numbers([(line, [cells[place]]) for line, cells in self._rows], [name])[0][:, 0]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys(filter(None, self._header)))
-
-    def __len__(self) -> int:
-        return len({*filter(None, self._header)})
-
-
-def _header_and_rows(path: str | Path) -> tuple[list[str], list[Row]]:
+def header_and_rows(path: str | Path) -> tuple[list[str], list[Row]]:
     """The first line's cells and the other lines. Raises InputError where they are not separated by commas."""
     (_, header), *rows = read_rows(path)
     with about(path):
@@ -127,14 +107,14 @@ def _header_and_rows(path: str | Path) -> tuple[list[str], list[Row]]:
     return header, rows
 
 
-def _check_once(header: Sequence[str], names: Sequence[str]) -> None:
+def check_once(header: Sequence[str], names: Sequence[str]) -> None:
     """Raise InputError where the header has one of the names twice."""
     count = Counter(header)
     if twice := sorted(name for name in names if count[name] > 1):
         raise InputError(f"the header has column {twice[0]!r} twice")
 
 
-def _check_lengths(rows: Sequence[Row], columns: Sequence[str]) -> None:
+def check_lengths(rows: Sequence[Row], columns: Sequence[str]) -> None:
     """Raise InputError unless there are rows, each with a cell for each column."""
     if not rows:
         raise InputError("only a header, no rows; expected one row a frame")

@@ -139,7 +139,7 @@ def test_broken_h5(tmp_path):
     whole = path.read_bytes()
     for content in (whole[: len(whole) // 2], b"", b"junk" * 100):
         path.write_bytes(content)
-        with pytest.raises(InputError, match="not a whole HDF5 file") as caught:
+        with pytest.raises(InputError, match="expected an HDF5 file that can be read") as caught:
             load(path, units="px", fps=30)
         assert len(str(caught.value).splitlines()) == 1
     frame = pd.DataFrame({"a": [1.0, 2.0]})

@@ -150,7 +150,7 @@ def test_broken_files_give_one_line_and_no_log(tmp_path, movement, capfd):
         path = tmp_path / name
         path.write_bytes(b"junk" * 50)
         fps = FPS if name == "rec.slp" else None
-        with pytest.raises(InputError, match="not a whole") as caught:
+        with pytest.raises(InputError, match="that can be read") as caught:
             load(path, units="px", fps=fps)
         assert len(str(caught.value).splitlines()) == 1
         assert str(path) in str(caught.value)

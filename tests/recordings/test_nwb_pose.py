@@ -78,7 +78,7 @@ DAMAGE = {
     "fewer rows": (replaced("data", TRACKS[:3, 0]), r"has shape \(3, 2\): expected \(6, 2\)"),
     "text": (replaced("confidence", ["a"] * 6), "confidence holds no numbers"),
     "another file's data": (replaced("data", h5py.ExternalLink("other.h5", "/data")), "data lies in another file"),
-    "no data": (lambda series: series.pop("data"), "not a whole NWB file"),
+    "no data": (lambda series: series.pop("data"), "expected an NWB file that can be read"),
 }
 
 
