@@ -1,4 +1,4 @@
-"""The project's own file: one row a sample, SI units, a header that says what each column is.
+"""The project's own file: one row a sample, SI units, a header that names the columns.
 
     time                        s; or in its place
     frame                       number of the frame, of a film of known frame rate

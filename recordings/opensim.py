@@ -121,8 +121,8 @@ def read_sto(path: str | Path) -> dict[str, np.ndarray]:
         numbers, _ = read_numbers(rows, labels)
         header = _header(lines[:end])
         for key, count in (("nRows", len(rows)), ("nColumns", len(labels))):
-            if (said := header.get(key.lower(), str(count))) != str(count):
-                raise InputError(f"the header says {key}={said}, but there are {count}")
+            if (stated := header.get(key.lower(), str(count))) != str(count):
+                raise InputError(f"the header says {key}={stated}, but there are {count}")
         return dict(zip(labels, numbers.T, strict=True))
 
 
@@ -145,7 +145,7 @@ def _cells(line: str, mark: str | None) -> list[str]:
 
 
 def read_trc(path: str | Path) -> Recording:
-    """Marker tracks, m, with z up; the file says its own units and times.
+    """Marker tracks, m, with z up; the file states its units and times.
 
     Raises InputError for another kind of file, or a unit that is not m, cm or mm.
     """

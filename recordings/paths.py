@@ -17,7 +17,7 @@ def resolved(path: str | Path) -> Path:
     long, the home of an unknown user, and a folder that may not be entered.
     """
     try:
-        str(path).encode()  # else no file could say in UTF-8 where it came from
+        str(path).encode()  # else no file could name it in UTF-8
         whole = Path(path).expanduser()
         os.stat(whole)
         return whole.resolve()

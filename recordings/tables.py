@@ -67,7 +67,7 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
     """Turn rows of cells into numbers, (rows, columns), NaN where a cell is empty.
 
     Raises:
-        InputError: no rows, a row of another length, or a cell that is no finite number; says which.
+        InputError: no rows, a row of another length, or a cell that is no finite number; the message names it.
     """
 
     def where(row: int) -> str:

@@ -75,7 +75,7 @@ def find_offsets(
         progress: called as (done, total, what).
 
     Raises:
-        InputError: a reach that is not positive or longer than the film, nothing moves enough to tell, or the best
+        InputError: a reach that is not positive or longer than the film, too little motion, or the best
             offset is farther than `reach`; as `triangulate`.
     """
     first, *others = tracks

@@ -79,7 +79,7 @@ def _bounded(database: sqlite3.Connection) -> Iterator[None]:
 
 
 def _check_ordinary(database: sqlite3.Connection, table: str) -> None:
-    """Raise InputError unless the table is stored as it stands."""
+    """Raise InputError unless the table is an ordinary one, without computed columns."""
     found = database.execute(
         "SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ? AND type <> 'index'", (table,)
     ).fetchmany(2)

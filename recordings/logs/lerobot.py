@@ -2,7 +2,8 @@
 
 A row has "episode_index", "timestamp" (s from the episode's start) and features that are lists of numbers, such as
 "observation.state" and "action". Their entries are called "observation.state.0", or by the names that meta/info.json
-gives: "observation.state.elbow.pos". What their numbers mean (degrees, a range of −100 to 100) the format does not say.
+gives: "observation.state.elbow.pos". The format does not state the meaning of the numbers (degrees, a range of −100 to
+100).
 
 Columns that are needed are read, and of the others the names. How many numbers they hold is known before any is
 unpacked: a few bytes of parquet may stand for gigabytes.
@@ -23,14 +24,14 @@ from .tracks import Episode, Needed, Track, needed
 
 INDEX, CLOCK = "episode_index", "timestamp"
 OURS = {INDEX, CLOCK, "frame_index", "index", "task_index"}
-ROWS = 2**14
+BATCH_ROWS = 2**14
 """Rows that are unpacked at a time."""
 
 
 def read_lerobot(path: Path, time: str | None = None, tracks: Needed | None = None) -> list[Episode]:
     """Episodes of a data set's folder, or of one parquet file of it.
 
-    Raises InputError for what is none or beyond the budget, OSError for a file that cannot be opened.
+    Raises InputError for another kind of file or one beyond the budget, OSError for a file that cannot be opened.
     """
     try:
         import pyarrow.parquet
@@ -79,7 +80,7 @@ def _columns(
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) of the columns that are needed, by the names of their entries; of the others none.
 
-    Columns of words, of True and False and of what is deeper than a list do not count.
+    Columns of words, booleans and nested lists are skipped.
     """
     from pyarrow import types
 
@@ -100,7 +101,7 @@ def _columns(
     _check_numbers(parquet, [*single, *lists], budget)
     parts: dict[str, list[Any]] = {name: [] for name in (*single, *lists)}
     if parts:
-        for batch in parquet.iter_batches(ROWS, columns=list(parts), use_threads=False):
+        for batch in parquet.iter_batches(BATCH_ROWS, columns=list(parts), use_threads=False):
             for name, taken in parts.items():
                 taken.append(_lists(batch[name]) if name in lists else (_numbers(batch[name]),))
 

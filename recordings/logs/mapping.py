@@ -1,7 +1,7 @@
 """A mapping in TOML: which track of a log is which joint's angle, torque or target.
 
-    time = "t"                       # a table's column of times; "time" if not said
-    time_unit = "ms"                 # s if not said
+    time = "t"                       # a table's column of times; "time" by default
+    time_unit = "ms"                 # s by default
     [joints.elbow]
     angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit; m of a slide
     torque = {track = "i2", gear = 50, constant = 0.12, sign = -1}   # N·m = sign · gear · constant · value
@@ -11,14 +11,14 @@
 
 Angles, torques and targets are those of the robot's own file, as it counts them. A gear converts the motor's
 quantities to the joint's: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). A `range` [a, b]
-is of numbers that say how far a joint is in its own, by `ends` [c, d] of −100 and 100 unless said, as LeRobot has
+is of positions of a joint in its range, by `ends` [c, d] of −100 and 100 by default, as LeRobot has
 them:
 
     rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
 
 As a `range` the name of LeRobot's calibration stands for the range that it has for the track's motor, about its middle
 (:mod:`.lerobot_calibration`). Without a mapping, tracks that are
-called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken for what their names say.
+called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken as their names state.
 """
 
 import sys
@@ -53,7 +53,7 @@ KEYS = {
 class Source:
     """A track and what makes SI units of its values: (value − origin) · factor + offset.
 
-    `unit` is the declared one, if any. `gear` is part of the factor already, and `ranged` says whether a range is.
+    `unit` is the declared one, if any. `gear` is part of the factor already; `ranged`: a range is as well.
     """
 
     track: str
@@ -87,7 +87,7 @@ class JointMap:
 
 @dataclass(frozen=True)
 class LogMap:
-    """A whole mapping: joints by name, the column of times, how many seconds its unit has, and which units it says.
+    """A whole mapping: joints by name, the column of times, the seconds of its unit, and the declared units.
 
     `units` have an angle where all angles have a unit, and a time where there is a `time_unit`: what is only taken for
     radians or seconds is not declared.
@@ -119,7 +119,7 @@ class LogMap:
     def check_kinds(self, slides: Collection[str]) -> None:
         """Raise InputError for an angle or target in a unit of length of a joint that turns, or the other way round.
 
-        ``slides`` are the names of the joints that shift; their numbers are m where no unit is said.
+        ``slides`` are the names of the joints that shift; their numbers are in m by default.
         """
         for name, joint in self.joints.items():
             known, what = (SHIFTS, "shifts") if name in slides else (ANGLES, "turns")
@@ -132,7 +132,7 @@ class LogMap:
 
     @classmethod
     def load(cls, path: str | Path) -> "LogMap":
-        """Read a mapping. Raises InputError for what is none, OSError where it cannot be read."""
+        """Read a mapping. Raises InputError for another kind of file, OSError where it cannot be read."""
         with about(path):
             found = cls.of(read_toml(path, "a mapping"), Path(path).parent)
         return replace(found, units=replace(found.units, mapping=str(path)))
@@ -165,9 +165,9 @@ class LogMap:
 
     @classmethod
     def by_name(cls, episode: Episode, joints: Sequence[str]) -> "LogMap":
-        """What the tracks' own names say, as ROS's JointState has them; targets are no measurements.
+        """A mapping by the tracks' own names, as ROS's JointState has them; targets are not measurements.
 
-        Raises InputError where they say nothing, and where two tracks say the same.
+        Raises InputError for a joint without such a track, and for one with two.
         """
 
         def named(joint: str, kind: str) -> Source | None:
@@ -219,7 +219,7 @@ def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
 
 
 def _of_range(table: dict[str, Any], where: str, folder: Path) -> tuple[float, float]:
-    """By how much a value of 1 moves a joint in its range, in the range's unit, and the value at which that is 0."""
+    """Movement of a joint in its range per unit of a value, in the range's unit, and the value at which it is 0."""
     if "range" not in table:
         if "ends" in table:
             raise InputError(f"{where}: ends are of a range: write range = [low, high], too")

@@ -122,7 +122,7 @@ class Collected:
             raise InputError(f"a message of {topic:.100} is no {kind} ({first_line(error):.200})") from None
 
     def episode(self) -> Episode:
-        """The tracks, from time 0 on. Raises InputError where there is none, with the types that were not read."""
+        """The tracks, from time 0 on. Raises InputError, with the types that were not read, where there is no track."""
         if not any(own.layouts for own in self._topics.values()):
             others = ", ".join([*(f"{topic:.60} without numbers" for topic in self._topics), *self._skipped][:8])
             raise InputError(

@@ -46,7 +46,7 @@ Episode = Mapping[str, Track]
 
 @dataclass(frozen=True)
 class Needed:
-    """Which tracks are read: those of a mapping, and those whose names end as `ends` say.
+    """Which tracks are read: those of a mapping, and those whose names end in one of `ends`.
 
     Of what is not needed a reader gives the names, where it can, and no numbers.
     """
