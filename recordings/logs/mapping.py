@@ -10,15 +10,15 @@
     angle  = {track = "h", range = [0, 0.8], ends = [0, 100]}        # rad where the log has 0, and where it has 100
 
 Angles, torques and targets are those of the robot's own file, as it counts them. A gear converts the motor's
-quantities to the joint's: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). A `range` [a, b]
-is of positions of a joint in its range, by `ends` [c, d] of −100 and 100 by default, as LeRobot has
-them:
+quantities to the joint's: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). With a `range`
+[a, b] the log's numbers are positions between the ends of a joint's range. These are `ends` [c, d], by default −100 and
+100 as in LeRobot:
 
     rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
 
-As a `range` the name of LeRobot's calibration stands for the range that it has for the track's motor, about its middle
-(:mod:`.lerobot_calibration`). Without a mapping, tracks that are
-called as ROS's JointState has them, "….elbow.position" and "….elbow.effort", are taken as their names state.
+A `range` may also be the name of LeRobot's calibration, which has the range of the track's motor about its middle
+(:mod:`.lerobot_calibration`). Without a mapping, tracks named as in ROS's JointState, "….elbow.position" and
+"….elbow.effort", are taken as their names state.
 """
 
 import sys
