@@ -79,9 +79,9 @@ def _read_catalogue() -> dict[str, Named]:
     found: dict[str, Named] = {}
     with Path(__file__).with_name("catalogue.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            place = (row[key] for key in ("file", "repository", "commit", "path", "sha256"))
             earlier = found[row["name"]].sources if row["name"] in found else ()
-            source = Source(*place, rounded=row["rounded"] == "yes")
+            place = row["file"], row["repository"], row["commit"], row["path"], row["sha256"]
+            source = Source(*place, row["rounded"] == "yes")
             found[row["name"]] = Named((*earlier, source), readers[row["reader"]], DEMO_FRAMES.get(row["name"]))
     return found
 

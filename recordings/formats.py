@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
-from .errors import InputError, first_line
+from .errors import InputError, readable
 from .movement_formats import read_with_movement
 from .nexus_csv import is_nexus, read_nexus_csv
 from .nwb_pose import read_nwb_pose
@@ -141,13 +141,9 @@ def _recognise_h5(path: Path) -> str:
     import h5py
 
     check_readable(path)
-    with open(path, "rb") as file:
-        try:
-            with h5py.File(file, "r") as store:
-                keys = set(store)
-                shape = getattr(store.get("tracks"), "shape", ())
-        except (OSError, RuntimeError, KeyError, ValueError) as error:
-            raise InputError(f"{path}: not a whole HDF5 file ({first_line(error)})") from None
+    with open(path, "rb") as file, readable(path, "an HDF5 file"), h5py.File(file, "r") as store:
+        keys = set(store)
+        shape = getattr(store.get("tracks"), "shape", ())
     if "tracks" in keys and "node_names" not in keys:
         raise InputError(f"{path}: {_UNNAMED_IN_SPACE if shape[-1:] == (3,) else _UNNAMED}")
     return "sleap" if "tracks" in keys else "deeplabcut"
