@@ -41,7 +41,7 @@ def ibm() -> Diagnosis:
 
 def human() -> Diagnosis:
     body = Body.from_toml(files("invdyn.models") / "bodies" / "human_arm_on_table.toml")
-    recording = load_recording("human-arm", body, base=None, body_lengths=True).select(50, 250)
+    recording = load_recording("human-arm", body, scale="body").select(50, 250)
     return diagnose(recording, body)
 
 

@@ -67,7 +67,7 @@ def film() -> tuple:
 
 def human() -> tuple:
     body = Body.from_toml(BODIES / "human_arm_on_table.toml")
-    recording = load_recording("human-arm", body, base=None, body_lengths=True).select(50, 250)
+    recording = load_recording("human-arm", body, scale="body").select(50, 250)
     return recording, body, {"learn_lengths": True}
 
 

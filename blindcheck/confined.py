@@ -47,9 +47,9 @@ class Confined:
             reached = self._can("-x", folder)
             read = [path for path in self.hidden if path.is_file() and self._can("-r", path)]
         except (LookupError, ValueError):
-            raise InputError(f"--method-user: expected a user of this machine, got {self.user!r}") from None
+            raise InputError(f"method_user: expected a user of this machine, got {self.user!r}") from None
         except (OSError, subprocess.SubprocessError):
-            raise InputError(f"--method-user: only root can run a method as {self.user!r}, another user") from None
+            raise InputError(f"method_user: only root can run a method as {self.user!r}, another user") from None
         if not reached:
             told = "does not reach this folder; give --out one that all may enter"
             raise InputError(f"{folder}: user {self.user!r} {told}")
@@ -91,7 +91,7 @@ class Confined:
             return "the method runs in a container: it sees its case and no other process"
         return (
             "the method runs in the open, as your own user, and can read what you can; "
-            "for a run that counts give --method-user, or install bubblewrap"
+            "for a run that counts give --set method_user=NAME, or install bubblewrap"
         )
 
     def _identity(self) -> dict[str, Any]:

@@ -58,7 +58,7 @@ class Decision:
     faint: float = stated(
         3.0, "d′", "of an effect of typical size, under which the recording could not show it", "chance: .0013"
     )
-    tolerance: float = stated(0.005, "typical torque", "under which a torque does not matter: --tolerance", "stated")
+    tolerance: float = stated(0.005, "typical torque", "under which a torque does not matter", "stated")
     step: float = stated(0.002, "s", "first-order step whose own error does not matter either", "MuJoCo's default")
     worst: float = stated(1.0, "s", "over which a torque is averaged before it is held against the tolerance", "stated")
     large: float = stated(0.2, "typical torque", 'that no answer "no gap" may overlook', "stated")

@@ -93,7 +93,7 @@ def cli_page() -> str:
     command = typer.main.get_command(app)
     parts = ["# Command line\n"]
     for name, each in sorted(command.commands.items()):
-        with Context(each, info_name=f"invdyn {name}", terminal_width=100) as context:
+        with Context(each, info_name=f"invdyn {name}", terminal_width=80) as context:
             parts.append(f"## invdyn {name}\n\n```text\n{each.get_help(context)}\n```\n")
     return "\n".join(parts)
 

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-# Threads that wait must sleep: spinning, they halve the speed of whatever else a shared machine does, and ours too.
+# Threads that wait must sleep: spinning, they halve the speed of all other work on a shared machine, and of ours.
 # OpenMP reads this when torch is loaded, so it has no effect where torch came first.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 

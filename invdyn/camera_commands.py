@@ -1,17 +1,20 @@
 """The commands of films of several cameras: `invdyn calibrate` and `invdyn triangulate`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
+from .options import Calibration, FileFormat, FrameRate, Individual, Offset
+from .settings import Setting, with_settings
 
 
-def register(app: typer.Typer) -> None:
+def register(command: Callable[..., Any]) -> None:
     """Add the commands."""
-    app.command()(calibrate)
-    app.command()(triangulate)
+    for each in (calibrate, triangulate):
+        command()(with_settings(each))
 
 
 def calibrate(
@@ -25,7 +28,10 @@ def calibrate(
     dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV calls it.")] = "DICT_4X4_50",
     every: Annotated[int, typer.Option(min=1, help="Search every n-th frame of a film.")] = 10,
 ) -> None:
-    """Calibrate cameras from films of a board that was shown to all of them."""
+    """Calibrate cameras from films of a board.
+
+    It was shown to all of them.
+    """
     from invdyn.recordings import InputError
     from invdyn.recordings.cameras import Board, write_calibration
     from invdyn.recordings.cameras import calibrate as run
@@ -59,14 +65,8 @@ def triangulate(
     tracks: Annotated[
         list[str], typer.Argument(help="Tracks in pixels, one file a camera: CAMERA=FILE, or arm_cam1.csv for cam1.")
     ],
-    calibration: Annotated[
-        list[Path],
-        typer.Option(help="Calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
-    ],
+    calibration: Calibration,
     out: Annotated[Path, typer.Option(help="The recording in space: .csv, m.")],
-    unit: Annotated[
-        str | None, typer.Option(help="Unit of the calibration, if the file does not say: m, cm, mm.")
-    ] = None,
     length: Annotated[
         list[str] | None,
         typer.Option(help="A known length, m: shoulder:elbow=0.28, or with --body upper_arm=0.28; repeatable."),
@@ -74,30 +74,29 @@ def triangulate(
     body: Annotated[
         str | None, typer.Option(metavar="FILE", help="Body whose links --length may name: .toml, .xml or .urdf.")
     ] = None,
-    baseline: Annotated[str | None, typer.Option(help="Known distance of two cameras: cam1:cam2=1.2, m.")] = None,
-    offset: Annotated[
-        list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")
-    ] = None,
+    offset: Offset = None,
     find: Annotated[
         float | None,
         typer.Option("--find-offsets", min=0.001, help="Find how far clocks are ahead, up to so many seconds."),
     ] = None,
     up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
     refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
-    free: Annotated[
-        str, typer.Option(help="With --refine, what to fit of the lenses: focal, distortion, or both.")
+    fit: Annotated[
+        str, typer.Option("--estimate", help="With --refine, what to fit of the lenses: focal, distortion, or both.")
     ] = "",
-    noise: Annotated[float | None, typer.Option(min=1e-6, help="Scale of a pixel's error, px; default: found.")] = None,
+    fps: FrameRate = None,
     errors: Annotated[Path | None, typer.Option(help="Reprojection errors by camera and keypoint: .csv.")] = None,
     sd: Annotated[Path | None, typer.Option(help="Standard deviations of all coordinates: .csv, m.")] = None,
     calibration_out: Annotated[
         Path | None, typer.Option(help="The cameras in the recording's frame, in metres: .toml.")
     ] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the files do not say.")] = None,
-    format: Annotated[str | None, typer.Option(help="Format of the files, if their names do not tell.")] = None,
-    individual: Annotated[str | None, typer.Option(help="Which animal, in files of several.")] = None,
+    unit: Annotated[str | None, Setting("unit of the calibration, if the file does not say: m, cm, mm")] = None,
+    baseline: Annotated[str | None, Setting("known distance of two cameras, m: cam1:cam2=1.2")] = None,
+    noise: Annotated[float | None, Setting("scale of a pixel's error, px; default: found", float, least=1e-6)] = None,
+    format: FileFormat = None,
+    individual: Individual = None,
 ) -> None:
-    """Turn the tracks of several cameras into one recording in space."""
+    """Make one recording in space from several cameras' tracks."""
     from invdyn.recordings import InputError, whole_set, write_keypoint_csv, write_table, write_text
     from invdyn.recordings.cameras import (
         Length,
@@ -112,8 +111,9 @@ def triangulate(
     )
     from invdyn.recordings.cameras.reprojection import csv_text, table
 
-    from .inputs_of_cameras import camera_offset
+    from .input_names import camera_offset
 
+    calibration = calibration or []
     offsets = dict(map(camera_offset, offset or ()))
     if offsets and find is not None:
         raise InputError("--offset states what --find-offsets looks for: choose one")
@@ -136,7 +136,7 @@ def triangulate(
             baseline=None if baseline is None else Length.parse(baseline),
             up=up,
             refine=refine,
-            intrinsics=[word.strip() for word in free.split(",") if word.strip()],
+            intrinsics=[word.strip() for word in fit.split(",") if word.strip()],
             scale=noise,
             name=out.stem,
         )
@@ -155,18 +155,18 @@ def triangulate(
             write_table({"time": recording.time, **columns}, sd)
         if calibration_out is not None:
             write_calibration(scene.calibration, calibration_out)
-    named = {"recording": out, "errors": errors, "spread": sd, "cameras": calibration_out}
+    named = {"recording": out, "errors": errors, "sds": sd, "cameras": calibration_out}
     say(table(scene.rows))
     known = _share_known(recording.keypoints)
     say(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
     for name, seconds in offsets.items():
-        spread = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
-        say(f"times of {name} run ahead by {seconds:+.4f}{spread} s")
+        sd_text = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
+        say(f"times of {name} run ahead by {seconds:+.4f}{sd_text} s")
     for name, clock in clocks.items():
         if not clock.significant:
             say(
-                f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, not "
-                "surely a clock, as a tracker's lasting errors look alike; --offset states a known one"
+                f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, which "
+                "may not be a clock, as a tracker's lasting errors look the same; --offset states a known one"
             )
     if scene.factor != 1:
         say(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")

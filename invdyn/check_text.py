@@ -6,7 +6,7 @@ from textwrap import fill
 from invdyn.diagnosis.check.check import Check
 
 WIDTH, INDENT = 100, " " * 11
-"""Columns of a line, and of what goes on in the next."""
+"""Columns of a line, and of its continuation."""
 KNOWN, MOST = 0.2, 8
 """Relative sd under which a number is known, and how many of a kind are listed."""
 
@@ -25,9 +25,9 @@ def check_text(found: Check) -> str:
         lines.append(f"torques    what the body and friction leave of their size: {parts}")
     if found.excited:
         known = [each for each in found.excited if each.value and each.sd < KNOWN * abs(each.value)]
-        faint = [each for each in found.excited if each not in known and each.value]
+        weak = [each for each in found.excited if each not in known and each.value]
         lines += [f"excited    {e.words}: to {100 * e.sd / abs(e.value):.2g} %" for e in known[:MOST]]
-        lines += [f"faint      {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in faint[:MOST]]
+        lines += [f"weak       {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in weak[:MOST]]
     if (shown := found.visible) is not None:
         names = [name for name in shown.dprime if name not in shown.hidden]
         long = [f"would show {len(names)} effects of {len(shown.dprime)}: {_by_effect(names) or 'none'}"]

@@ -3,6 +3,7 @@
 Each command checks, then works, then writes.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +12,9 @@ import typer
 from . import blind_commands, camera_commands, film_commands, model_commands, robot_commands
 from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
-from .film_commands import ArmSide, Kept, NetworkFile, PersonSeen
-from .inference_options import Inference
-from .model_commands import Isolate, Replicates
-from .options import BodyFile, Seed, with_option_groups
+from .inference_options import Inference, kinematic_arguments, open_workers
+from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
+from .settings import GroupedCommand, with_settings
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
 
@@ -24,19 +24,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80},
 )
-
-camera_commands.register(app)
-robot_commands.register(app)
-film_commands.register(app)
-model_commands.register(app)
-
-FigureOut = Annotated[Path | None, typer.Option(help="Figure: .png, .pdf or .svg.")]
-FilmOut = Annotated[Path | None, typer.Option(help="Film of the arm: .gif or .mp4.")]
-StoOut = Annotated[Path | None, typer.Option(help="Torques for OpenSim: .sto.")]
-MotOut = Annotated[Path | None, typer.Option(help="Angles for OpenSim: .mot.")]
-CsvOut = Annotated[Path | None, typer.Option(help="Torques, angles and velocities with 90 % bands: .csv.")]
+command = partial(app.command, cls=GroupedCommand)
 
 
 def show_version(wanted: bool) -> None:
@@ -49,7 +39,7 @@ def show_version(wanted: bool) -> None:
 
 
 @app.callback()
-def options(
+def invdyn(
     version: Annotated[
         bool, typer.Option("--version", callback=show_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -57,7 +47,7 @@ def options(
     """Joint torques, with their uncertainty, from the keypoints that a camera tracks."""
 
 
-@app.command()
+@command()
 def simulate(
     body: BodyFile,
     out: Annotated[Path, typer.Option(help="The recording: .csv.")],
@@ -69,13 +59,16 @@ def simulate(
         float | None, typer.Option(min=1e-9, help="Record encoders too, with this standard deviation, rad.")
     ] = None,
     torque_scale: Annotated[
-        float | None,
-        typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body."),
+        float | None, typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body.")
     ] = None,
     commanded: Annotated[bool, typer.Option("--commanded", help="The torques are known commands.")] = False,
     seed: Seed = 0,
 ) -> None:
     """Make a recording with known truth."""
+    from .input_names import check_exist
+
+    check_exist(body=body)
+
     from invdyn.recordings import whole_set, write_keypoint_csv, write_truth
 
     from .inputs import load_body
@@ -104,124 +97,107 @@ def simulate(
         say(f"truth      {truth}")
 
 
-@app.command()
-@with_option_groups
+@command()
+@with_settings
 def infer(
     given: Inference,
-    out: Annotated[Path, typer.Option(help="The posterior: .nc (netCDF, ArviZ).")],
+    out: Outputs = None,
     method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
     kinematic: Annotated[
-        bool, typer.Option("--kinematic", help="Motion and lengths alone: no forces, no masses; smc or laplace.")
+        bool, typer.Option("--kinematic", help="Motion and lengths alone, without forces; by smc or laplace.")
     ] = False,
-    figure: FigureOut = None,
-    film: FilmOut = None,
-    sto: StoOut = None,
-    mot: MotOut = None,
-    csv: CsvOut = None,
-    checkpoint: Kept = None,
-    network: NetworkFile = None,
-    arm: ArmSide = None,
-    person: PersonSeen = None,
-    tracks: Annotated[
-        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the posterior.")
-    ] = None,
 ) -> None:
-    """Infer the torques that moved a recorded body; a film is tracked first, with --network or --arm."""
+    """Infer the torques that moved a recorded body.
+
+    A film is tracked first, with --tracker.
+    """
     given.check_exist()
 
-    from invdyn.inference import infer as run
-    from invdyn.inference import infer_kinematics
+    from invdyn import inference
 
-    from .inputs_from_film import TrackedFilm
-    from .outputs import Outputs
+    from .outputs import OutputFiles
     from .summary import summary_text
 
     given.check(method)
+    files = OutputFiles(tuple(out or ()))
+    tracks = given.tracks_file(files.usual_tracks)
+    files.check(*given.files, inferred=True, tracks=tracks, torques=not kinematic)
+    arguments, run = given.arguments, inference.infer
     if kinematic:
-        given.check_kinematic(sto=sto, checkpoint=checkpoint)
-    outputs = Outputs(posterior=out, figure=figure, film=film, sto=sto, mot=mot, csv=csv)
-    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.parent / f"{out.stem}.tracks.csv")
-    outputs.check(*given.files, *([] if filmed is None else filmed.files))
-    if filmed is not None:
-        check_outputs([*outputs.paths, filmed.tracks], [*given.files, *filmed.files])
-        check_ending("a file of tracks", filmed.tracks, ".csv")
-        with ProgressBar() as progress:
-            given = filmed.track(checkpoint, progress)
-    arguments = given.load()
-    with given.executor() as executor, ProgressBar() as progress:
-        if kinematic:
-            idata = infer_kinematics(**given.kinematic(arguments), method=method, progress=progress)
-        else:
-            idata = run(**arguments, method=method, progress=progress, executor=executor, checkpoint=checkpoint)
-        outputs.write(idata, progress, None if filmed is None else filmed.overlay)
+        run = inference.infer_kinematics
+        arguments = kinematic_arguments(arguments | {"executor": given.workers})
+    with ProgressBar() as progress:
+        read, film = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
+    with open_workers(given.workers) as executor, ProgressBar() as progress:
+        where = {} if kinematic else {"executor": executor}
+        idata = run(**read, **arguments, **where, method=method, progress=progress)
+        files.write(idata, progress, film)
     say(summary_text(idata))
-    say(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
+    say(files.listing() + ("" if tracks is None else f"\n{'tracks':<10} {tracks}"))
 
 
-@app.command()
-@with_option_groups
+@command()
+@with_settings
 def compare(
     given: Inference,
-    methods: Annotated[str, typer.Option(help="Such as smc,bootstrap; the answer to an unknown one lists them all.")],
-    out: Annotated[Path, typer.Option(help="Folder for table, figure and posteriors; made when missing.")],
+    methods: Methods,
+    out: FolderOut,
     held_out: Annotated[
         float, typer.Option(min=0, max=0.9, help="Share of the frames, the last ones, to predict; 0 for none.")
     ] = 0.2,
     replicates: Replicates = 1,
     isolate: Isolate = False,
-    checkpoint: Kept = None,
 ) -> None:
-    """Run several methods on one recording: one table, one figure.
+    """Run several methods on one recording.
 
-    On a model of your own: `invdyn compare model.py:Model rows.csv`, with the options of `compare-model`.
+    One table, one figure. On a model of your own: `invdyn compare model.py:Model rows.csv`, with the
+    options of `compare-model`.
     """
     given.check_exist()
 
     from invdyn.inference import compare as run
 
-    from .outputs import ComparisonOutputs
+    from .outputs import OutputFolder, write_comparison
     from .summary import comparison_text
 
     names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
     given.check(*names)
-    outputs = ComparisonOutputs(out, names)
+    outputs = OutputFolder.of_comparison(out, names)
+    tracks = given.tracks_file(out.with_name(f"{out.name}.tracks.csv"))
     outputs.check(*given.files)
-    arguments = given.load()
-    with given.executor() as executor, ProgressBar() as progress:
+    check_outputs([tracks], given.files)
+    check_ending("a file of tracks", tracks, ".csv")
+    with ProgressBar() as progress:
+        read, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
+    with open_workers(given.workers) as executor, ProgressBar() as progress:
         comparison = run(
-            **arguments,
+            **read,
+            **given.arguments,
             methods=names,
             held_out=held_out,
             replicates=replicates,
             isolate=isolate,
             progress=progress,
             executor=executor,
-            checkpoint=checkpoint,
         )
-    outputs.write(comparison)
+    write_comparison(outputs, comparison)
     say(comparison_text(comparison))
-    say(outputs.listing(comparison))
+    say(outputs.listing(comparison.failures))
 
 
-@app.command()
-@with_option_groups
+@command()
+@with_settings
 def diagnose(
     given: Diagnosed,
-    out: Annotated[Path, typer.Option(help="Folder for report, JSON and posterior; made when missing.")],
+    out: FolderOut,
     write_back: Annotated[
         Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
     ] = None,
-    checkpoint: Kept = None,
-    network: NetworkFile = None,
-    arm: ArmSide = None,
-    person: PersonSeen = None,
-    tracks: Annotated[
-        Path | None, typer.Option(help="Where a film's tracks go: .csv; default: beside the folder.")
-    ] = None,
 ) -> None:
-    """Find where simulation and recording part, which effect causes it, and how far the gap closes.
+    """Find where a simulation and a recording differ, and why.
 
-    A film is tracked first, with --network or --arm.
+    Which effect causes the difference, and how far the gap closes with it. A
+    film is tracked first, with --tracker.
     """
     given.check_exist()
 
@@ -232,25 +208,20 @@ def diagnose(
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
     from invdyn.recordings import new_folder, whole_set
 
-    from .inputs_from_film import TrackedFilm
-    from .outputs import DiagnosisOutputs
+    from .outputs import OutputFolder
 
     given.check()
-    outputs = DiagnosisOutputs(out)
-    filmed = TrackedFilm.of(given, network, arm, person, tracks or out.parent / f"{out.name}.tracks.csv")
-    files = [*given.files, *([] if filmed is None else filmed.files)]
-    outputs.check(*files)
+    outputs = OutputFolder.of_diagnosis(out)
+    outputs.check(*given.files)
+    tracks = given.tracks_file(out.with_name(f"{out.name}.tracks.csv"))
+    check_outputs([tracks, write_back], given.files)
+    check_ending("a file of tracks", tracks, ".csv")
     if write_back is not None:
-        check_outputs([write_back], files)
         check_write_back(given.body, write_back)
-    if filmed is not None:
-        check_outputs([filmed.tracks, write_back], files)
-        check_ending("a file of tracks", filmed.tracks, ".csv")
-        with ProgressBar() as progress:
-            given = filmed.track(checkpoint, progress)
-    arguments = given.load()
     with ProgressBar() as progress:
-        diagnosis = run(**arguments, progress=progress, checkpoint=checkpoint)
+        arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
+    with ProgressBar() as progress:
+        diagnosis = run(**arguments, progress=progress, checkpoint=given.checkpoint)
     with new_folder(out), whole_set():
         if write_back is not None:
             held_out, recordings = arguments["held_out"], arguments["recording"]
@@ -260,72 +231,67 @@ def diagnose(
     say(verdict(diagnosis))
     for sentence in details(diagnosis):
         say(sentence)
-    say(outputs.listing() + ("" if filmed is None else f"\n{'tracks':<10} {filmed.tracks}"))
+    say(outputs.listing() + ("" if tracks is None else f"\n{'tracks':<10} {tracks}"))
 
 
-blind_commands.register(app)
-
-
-@app.command()
+@command()
+@with_settings
 def plot(
-    posterior: Annotated[Path, typer.Argument(help="A posterior that `invdyn infer` saved: .nc.")],
-    out: FigureOut = None,
-    film: FilmOut = None,
-    sto: StoOut = None,
-    mot: MotOut = None,
-    csv: CsvOut = None,
+    posterior: Annotated[Path, typer.Argument(help="A posterior that `invdyn infer` saved: .nc.")], out: Outputs = None
 ) -> None:
     """Draw a saved posterior, or export its torques."""
+    from .input_names import check_exist
+
+    check_exist(str(posterior))
+
     from invdyn.inference import load_posterior
 
-    from .outputs import Outputs
+    from .outputs import OutputFiles
     from .summary import summary_text
 
-    outputs = Outputs(figure=out, film=film, sto=sto, mot=mot, csv=csv)
-    outputs.check(posterior)
+    files = OutputFiles(tuple(out or ()))
+    files.check(posterior)
     idata = load_posterior(posterior)
     with ProgressBar() as progress:
-        outputs.write(idata, progress)
+        files.write(idata, progress)
     say(summary_text(idata))
-    say(outputs.listing())
+    say(files.listing())
 
 
-@app.command()
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for all of it; made when missing.")] = Path("demo"),
-    seed: Seed = 0,
-) -> None:
+@command()
+def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
     """Simulate an arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
-    from invdyn.models import Body
     from invdyn.recordings import new_folder, whole_set, write_keypoint_csv, write_truth
 
     from .inputs import load_body
-    from .outputs import Outputs, check_folder
+    from .outputs import OutputFiles, check_folder
     from .simulate import PAPER, paper_arm, record
     from .summary import summary_text
 
     check_folder(out, [], [])
     arm = load_body("paper_planar_arm")
-    assert isinstance(arm, Body)  # as its file says
     recording, truth = record(paper_arm(arm), seed, "planar arm")
-    outputs = Outputs(
-        out / "posterior.nc", out / "figure.png", out / "film.gif", out / "torques.sto", csv=out / "torques.csv"
-    )
+    names = ("posterior.nc", "figure.png", "film.gif", "torques.sto", "torques.csv")
+    files = OutputFiles(tuple(out / name for name in names))
     arm_file, recording_file, truth_file = out / "arm.toml", out / "recording.csv", out / "truth.csv"
     with new_folder(out), ProgressBar() as progress:
-        outputs.check()
+        files.check()
         check_outputs([arm_file, recording_file, truth_file])
         idata = run(recording, arm, truth=truth, seed=seed, progress=progress, **PAPER)
         with whole_set():
             arm.to_toml(arm_file)
             write_keypoint_csv(recording, recording_file)
             write_truth(truth, truth_file)
-            outputs.write(idata, progress)
+            files.write(idata, progress)
     say(summary_text(idata))
-    say(outputs.listing())
+    say(files.listing())
     say(f"{'input':<10} {recording_file}, {truth_file}, {arm_file}")
     say(
         f"\nA recording of your own, the same way:\n  invdyn infer {recording_file} --body {arm_file} "
-        "--out posterior.nc --figure figure.png"
+        "--out posterior.nc --out figure.png"
     )
+
+
+for commands in (robot_commands, film_commands, camera_commands, model_commands, blind_commands):
+    commands.register(command)

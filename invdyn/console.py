@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from threading import current_thread, main_thread
@@ -21,6 +22,8 @@ from typing import Any
 import typer
 from tqdm import tqdm
 from typer.core import TyperGroup
+
+from .renamed_options import with_new_names
 
 BAD_INPUT, READER_LEFT, NOT_PRINTED, INTERRUPTED = 2, 1, 74, 130
 WORDS = "invdyn.words"  # where a context keeps the command line
@@ -51,7 +54,7 @@ class Commands(TyperGroup):
             return super().main(*args, **extra)
         except OSError as error:  # those of a command have become a line by now
             _print_no_more()
-            _say("error", f"could not print: {error.strerror}")
+            print_line("error", f"could not print: {error.strerror}")
             sys.exit(NOT_PRINTED)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -61,8 +64,21 @@ class Commands(TyperGroup):
         """
         if args[:1] == ["compare"] and any(MODEL.fullmatch(word) for word in args[1:]):
             args = ["compare-model", *args[1:]]
+        if args and args[0] in self.commands:
+            args = [args[0], *self._with_new_names(self.commands[args[0]], args[1:])]
         ctx.meta[WORDS] = list(args)
         return super().parse_args(ctx, args)
+
+    @staticmethod
+    def _with_new_names(command: Any, words: list[str]) -> list[str]:
+        """Words of a command, renamed options under their new names; a warning says so."""
+        own = [(option, one) for one in command.params for option in (*one.opts, *one.secondary_opts)]
+        repeatable = [option for option, one in own if getattr(one, "multiple", False)]
+        try:
+            return with_new_names(words, [option for option, _ in own], repeatable, partial(print_line, "warning"))
+        except ValueError as error:
+            print_line("error", error)
+            raise typer.Exit(BAD_INPUT) from None
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -81,22 +97,24 @@ class Commands(TyperGroup):
                 _check_printed()
                 return result
             except KeyboardInterrupt:
-                _say("interrupted", "what was not finished was not written")
+                print_line("interrupted", "what was not finished was not written")
                 raise typer.Exit(INTERRUPTED) from None
             except Terminated as ended:
-                _say("terminated", "what was not finished was not written")
+                print_line("terminated", "what was not finished was not written")
                 raise typer.Exit(int(str(ended.code))) from None
             except UsageError as error:
                 command = error.ctx.command_path if error.ctx else "invdyn"
-                _say("error", f"{error.format_message()} (see {command} --help)")
+                print_line("error", f"{error.format_message()} (see {command} --help)")
             except OSError as error:
                 if error.errno == errno.EPIPE:
                     raise
-                _say("error", f"{self._given(ctx, error.filename)}: {error.strerror}" if error.filename else error)
+                print_line(
+                    "error", f"{self._given(ctx, error.filename)}: {error.strerror}" if error.filename else error
+                )
             except (ValueError, ArithmeticError) as error:
                 if not isinstance(error, _input_errors()):
                     raise
-                _say("error", error)
+                print_line("error", error)
             raise typer.Exit(BAD_INPUT)
 
     def _given(self, ctx: Any, file: Any) -> str:
@@ -149,18 +167,18 @@ def _input_errors() -> tuple[type[Exception], ...]:
     return InputError, BodyError, Diverged, ModelError, SMCFailed
 
 
-def _say(kind: str, message: object) -> None:
-    """One line that a terminal can show, whatever a file's name or content has put into it; its middle may go."""
+def print_line(kind: str, message: object) -> None:
+    """Print one line that a terminal can show, also of names and contents of files; a long one loses its middle."""
     line = " ".join(str(message).split())
     line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
     if len(line) > LONGEST:
         line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
-    with suppress(OSError):  # there is nobody to tell that, either
+    with suppress(OSError):  # no error can be printed, either
         typer.echo(f"{kind}: {line}", err=True)
 
 
 def say(text: str) -> None:
-    """Print a command's words; where that fails the command goes on, and its end says so.
+    """Print a command's words; where that fails the command continues, and its end says so.
 
     A full disk under stdout, or a reader that has left, takes nothing from what is written elsewhere.
     """
@@ -179,7 +197,7 @@ def _check_printed() -> None:
         raise typer.Exit(READER_LEFT)
     written = [str(path) for path in _run.outputs if path.exists()]
     done = f"wrote {', '.join(written)}" if written else "done"
-    _say("error", f"{done}; could not print: {error.strerror}")
+    print_line("error", f"{done}; could not print: {error.strerror}")
     raise typer.Exit(NOT_PRINTED)
 
 
@@ -193,11 +211,11 @@ def _print_no_more() -> None:
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
     if issubclass(category, UserWarning | RuntimeWarning):  # the rest concerns programmers
-        _say("warning", message)
+        print_line("warning", message)
 
 
 class ProgressBar:
-    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none if nobody watches.
+    """`progress(done, total, what)` as a bar on stderr, a new one for each `what`; none without a terminal.
 
     What follows a semicolon in `what` changes while the bar stays: "refine; payload".
     """

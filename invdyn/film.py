@@ -4,7 +4,7 @@ In space it is seen from two sides, x and z from the front, y and z from the sid
 has them. In the plane it may lie over the film that was tracked.
 
 The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
-so that it costs milliseconds. The film plays at the recording's own speed. GIF by Pillow, MP4 by
+so that it costs milliseconds. The film has the recording's own speed. GIF by Pillow, MP4 by
 imageio-ffmpeg (extra `video`).
 """
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
 MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
-ARMS = 30  # posterior draws shown as faint arms
+ARMS = 30  # posterior draws shown as pale arms
 VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
 """Of each number of coordinates: which two each picture shows."""
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
@@ -173,7 +173,7 @@ def skeleton(idata: az.InferenceData) -> list[list[int]]:
 
 
 class Picture:
-    """One view of the arm, with what moves in it: faint arms of posterior draws, their mean, what was observed."""
+    """One view of the arm, with what moves in it: pale arms of posterior draws, their mean, what was observed."""
 
     def __init__(self, axes: Axes, view: list[int], dotted: str):
         self.view = view

@@ -1,6 +1,5 @@
 """The commands from films to tracks: `invdyn label`, `invdyn train` and `invdyn track`."""
 
-import hashlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -9,45 +8,39 @@ from typing import Annotated, Any
 import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
-from .options import Seed
+from .options import Checkpoint, Individual, Person, Seed, Tracker, TracksOut
+from .settings import with_settings
 
 FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
-Kept = Annotated[
-    Path | None, typer.Option(help="Folder that keeps what is done; the same call again goes on from there.")
-]
-NetworkFile = Annotated[Path | None, typer.Option(help="Network of `invdyn train`: .safetensors.")]
-ArmSide = Annotated[str | None, typer.Option(help="Without a network: which arm of a person, left or right.")]
-PersonSeen = Annotated[
-    str | None, typer.Option(help="Which of several people: left, right, largest, or a box u,v,width,height, px.")
-]
 
 
-def register(app: typer.Typer) -> None:
+def register(command: Callable[..., Any]) -> None:
     """Add the commands."""
-    app.command()(label)
-    app.command()(train)
-    app.command()(track)
+    for each in (label, train, track):
+        command()(with_settings(each))
 
 
 def label(
     film: FilmFile,
     out: Annotated[Path, typer.Option(help="The labels: .csv; a file that is there is continued.")],
     keypoints: Annotated[
-        str | None,
-        typer.Option(help="Names, such as shoulder,elbow,wrist; default: those in the labels' file."),
+        str | None, typer.Option(help="Names, such as shoulder,elbow,wrist; default: those in the labels' file.")
     ] = None,
     count: Annotated[int, typer.Option(min=1, max=1000, help="Pictures to label now.")] = 20,
     posterior: Annotated[
         Path | None,
         typer.Option(help="Posterior of this film, by `invdyn infer`: offer the pictures that surprise it most."),
     ] = None,
-    network: Annotated[
+    tracker: Annotated[
         Path | None,
         typer.Option(help="Network of `invdyn train`; the page shows its points, for you to take or correct."),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
 ) -> None:
-    """Label joints in a film, in a page of your browser; it offers the pictures that teach most."""
+    """Label joints in a film, in a page of your browser.
+
+    It offers the pictures that teach most.
+    """
     import webbrowser
 
     from invdyn.recordings import InputError
@@ -58,7 +51,7 @@ def label(
 
     from .label_server import LabelServer
 
-    check_outputs([out], [path for path in (film, posterior, network) if path is not None])
+    check_outputs([out], [path for path in (film, posterior, tracker) if path is not None])
     check_ending("a file of labels", out, ".csv")
     before = read_labels(out) if out.exists() else None
     names = tuple(name.strip() for name in (keypoints or "").split(",") if name.strip())
@@ -73,7 +66,7 @@ def label(
     if before is not None:
         with about(out):
             before.check_within(source.width, source.height)
-    suggest = None if network is None else _suggestions(network, names, source)
+    suggest = None if tracker is None else _suggestions(tracker, names, source)
     labelled = set() if before is None else set(before.frames.tolist())
     with ProgressBar() as progress:
         if posterior is None:
@@ -98,15 +91,15 @@ def _suggestions(path: Path, names: tuple[str, ...], film: Any) -> Callable[[Any
     from invdyn.recordings import InputError
     from invdyn.recordings.tracking.heatmap import HeatmapTracker
 
-    tracker = HeatmapTracker.load(path)
-    if missing := [name for name in names if name not in tracker.keypoint_names]:
-        raise InputError(f"{path}: it does not track {missing[0]!r}, but {', '.join(tracker.keypoint_names)}")
-    places = [tracker.keypoint_names.index(name) for name in names]
-    height, width = tracker.picture_size
+    network = HeatmapTracker.load(path)
+    if missing := [name for name in names if name not in network.keypoint_names]:
+        raise InputError(f"{path}: it does not track {missing[0]!r}, but {', '.join(network.keypoint_names)}")
+    places = [network.keypoint_names.index(name) for name in names]
+    height, width = network.picture_size
 
     def suggest(picture: Any) -> Any:
         small = Image.fromarray(picture).resize((width, height), Image.Resampling.BOX)
-        found = tracker.track(np.array(small))[places]
+        found = network.track(np.array(small))[places]
         found[:, :2] = (found[:, :2] + 0.5) * [film.width / width, film.height / height] - 0.5
         return found
 
@@ -142,10 +135,10 @@ def train(
     steps: Annotated[int, typer.Option(min=1, help="Steps of training, of eight pictures each.")] = 500,
     size: Annotated[int, typer.Option(help="Longer side of the pictures that the network sees, px.")] = 288,
     seed: Seed = 0,
-    individual: Annotated[str | None, typer.Option(help="Which animal, in labels of several.")] = None,
-    checkpoint: Kept = None,
+    individual: Individual = None,
+    checkpoint: Checkpoint = None,
 ) -> None:
-    """Train a network on labelled pictures of a film; then `invdyn track` tracks all of it."""
+    """Train a network on labelled pictures, for `invdyn track`."""
     from invdyn.recordings import InputError
     from invdyn.recordings.tracking.film import Film
     from invdyn.recordings.tracking.heatmap import import_safetensors
@@ -158,8 +151,8 @@ def train(
     check_outputs([out], [*films, *labels])
     check_ending("a network", out, ".safetensors")
     import_safetensors()
-    told = [read_labels(path, individual) for path in labels]
-    given = examples([Film(path) for path in films], told, size)
+    labelled = [read_labels(path, individual) for path in labels]
+    given = examples([Film(path) for path in films], labelled, size)
     keeper = None
     if checkpoint is not None:
         import torch
@@ -190,84 +183,29 @@ def _quality(trained: Any) -> str:
 
 
 def track(
-    film: FilmFile,
-    out: Annotated[Path, typer.Option(help="The tracks, in px: .csv.")],
-    network: NetworkFile = None,
-    arm: ArmSide = None,
-    person: PersonSeen = None,
-    checkpoint: Kept = None,
+    film: FilmFile, out: TracksOut, tracker: Tracker = None, person: Person = None, checkpoint: Checkpoint = None
 ) -> None:
-    """Track the joints in a film, by a network of your own, or those of a person's arm without one."""
+    """Track the joints in a film.
+
+    By your own network, or those of a person's arm without one.
+    """
+    from .input_names import check_exist
+
+    check_exist(str(film))
+
     import numpy as np
 
-    inputs = [film, *([] if network is None else [network])]
-    check_outputs([out], inputs)
+    from invdyn.recordings.tracking.film import Film
+
+    from .film_input import SIDES, track_into
+
+    check_outputs([out], [film, *([] if tracker is None or tracker in SIDES else [Path(tracker)])])
     check_ending("a file of tracks", out, ".csv")
     with ProgressBar() as progress:
-        names, tracks = tracks_of(film, out, network, arm, person, checkpoint, progress)
+        names, tracks = track_into(out, Film(film), tracker, person, checkpoint, progress)
     known = np.isfinite(tracks[..., 0])
     for p, name in enumerate(names):
         seen = tracks[known[:, p], p, 2]
-        told = f"; confidence {np.median(seen):.2f}, under .5 in {np.mean(seen < 0.5):.1%}" if len(seen) else ""
-        say(f"{name:<14} found in {known[:, p].mean():.1%} of {len(tracks)} pictures{told}")
+        confidence = f"; confidence {np.median(seen):.2f}, under .5 in {np.mean(seen < 0.5):.1%}" if len(seen) else ""
+        say(f"{name:<14} found in {known[:, p].mean():.1%} of {len(tracks)} pictures{confidence}")
     say(f"tracks     {out}")
-
-
-def tracks_of(
-    path: Path,
-    out: Path,
-    network: Path | None,
-    arm: str | None,
-    person: str | None,
-    checkpoint: Path | None,
-    progress: Any,
-    wanted: tuple[str, ...] | None = None,
-) -> tuple[tuple[str, ...], Any]:
-    """Track a film into the file `out`; names of the keypoints, and (T, P, 3).
-
-    `wanted` are a base, which need not be tracked, and keypoints, which must be: no others are written.
-
-    Raises InputError unless there is one of network and arm, for a keypoint that is not tracked, and as film and
-    tracker do.
-    """
-    from invdyn.recordings import InputError
-    from invdyn.recordings.tracking.film import Film
-    from invdyn.recordings.tracking.heatmap import HeatmapTracker
-    from invdyn.recordings.tracking.tracker import Tracker, track_film, write_tracks
-
-    if (network is None) == (arm is None):
-        raise InputError(
-            f"{path}: who is to be tracked? give --network (of `invdyn train`), or --arm left or right for a person's"
-        )
-    if person is not None and arm is None:
-        raise InputError(
-            "--person says whose --arm to track; with --network leave it out: a network tracks what it was trained on"
-        )
-    film = Film(path)
-    tracker: Tracker
-    if network is not None:
-        tracker = HeatmapTracker.load(network)
-    else:
-        from invdyn.recordings.tracking.blazepose import person_tracker
-
-        tracker = person_tracker(str(arm), person, progress)
-    names = tracker.keypoint_names
-    if wanted is not None:
-        if missing := [name for name in wanted[1:] if name not in names]:
-            raise InputError(
-                f"the body's keypoint {missing[0]!r} is not tracked; tracked are {', '.join(names)}: rename one of them"
-            )
-        names = tuple(name for name in wanted if name in names)
-    keeper = None
-    if checkpoint is not None:
-        from invdyn.inference.execution.checkpoint import Checkpoint
-
-        with path.open("rb") as file:
-            run = {"film": hashlib.file_digest(file, "sha256").hexdigest(), "arm": arm, "person": person}
-        if network is not None:
-            run["network"] = hashlib.sha256(network.read_bytes()).hexdigest()
-        keeper = Checkpoint(checkpoint, run, "track")
-    times, tracks = track_film(film, tracker, progress, keeper)
-    tracks = tracks[:, [tracker.keypoint_names.index(name) for name in names]]
-    write_tracks(names, times, tracks, out)
-    return names, tracks

@@ -1,64 +1,60 @@
-"""Options of `infer` and `compare`: the model that joins recording and body, sampler sizes, where it runs."""
+"""Options of `infer` and `compare`: the model that joins recording and body, sizes of samplers, where it runs."""
 
+import inspect
 from collections.abc import Collection
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import MOST_WORKERS, Seed
+from .options import MAX_WORKERS, Device, Draws, Filters, FiltersPerTask, Particles, Seed, Workers
 from .recording_options import Recorded
 
-TruthFile = Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")]
-FORCES = (
-    *("torque", "passive", "hide_torque", "workers", "scheduler", "device", "filters_per_task"),
-    *("calibration", "learn_cameras"),
-)
-"""Options that a kinematic model takes none of: of forces, and of cameras, which it does not know."""
+if TYPE_CHECKING:
+    from invdyn.recordings.reading import TrackedFilm
+
+OU = "ornstein_uhlenbeck"
+LENGTHS = "lengths"
+CAMERAS = ("offset", "pose", "turn")
+"""What `--learn` may name: of links, and of cameras."""
 
 
 @dataclass(frozen=True)
 class Inference(Recorded):
-    """What `infer` and `compare` are given: a recording, a body, the model that joins them, sampler sizes."""
+    """What `infer` and `compare` are given: a recording, a body, the model that joins them, sizes of samplers."""
 
-    truth: TruthFile = None
-    offset: Annotated[
-        list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")
+    truth: Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")] = (
+        None
+    )
+    learn: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What to learn too: lengths of links; of cameras offset (of clocks), pose, or turn "
+            "about their places. Repeatable."
+        ),
     ] = None
-    learn_cameras: Annotated[
-        str, typer.Option(help="What is not known of cameras: offset (of clocks), pose, or turn about their places.")
-    ] = ""
-    learn_lengths: Annotated[bool, typer.Option("--learn-lengths", help="Learn the links' lengths.")] = False
     torque: Annotated[
         str,
         typer.Option(
-            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, smooth_and_rough; "
-            "or auto, which fits the first and the last and keeps the one with more evidence."
+            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, "
+            "smooth_and_rough; or auto, the first or the last, by evidence."
         ),
-    ] = "ornstein_uhlenbeck"
+    ] = OU
     noise: Annotated[
         str | None,
         typer.Option(
-            help="Observation noise: gaussian, student_t of each number, or multivariate_t of each keypoint; default: "
-            "gaussian, and student_t for pixels."
+            help="Observation noise: gaussian, student_t of each number, or multivariate_t of each "
+            "keypoint; default: gaussian, and student_t for pixels."
         ),
     ] = None
-    filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64
-    particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100
-    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4
+    filters: Filters = 64
+    particles: Particles = 100
+    draws: Draws = 4
     seed: Seed = 0
-    workers: Annotated[int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")] = (
-        None
-    )
-    scheduler: Annotated[
-        str | None, typer.Option(help="Where the filters run: a Dask scheduler (tcp://host:8786), or mpi.")
-    ] = None
-    filters_per_task: Annotated[
-        int | None, typer.Option(min=1, help="Filters that a worker takes at a time; default: 32.")
-    ] = None
-    device: Annotated[str, typer.Option(help="Where particle filters compute: cpu or cuda.")] = "cpu"
+    workers: Workers = None
+    device: Device = "cpu"
+    filters_per_task: FiltersPerTask = None
 
     def check(self, *methods: str) -> None:
         """Raise InputError for a name that is not known."""
@@ -68,95 +64,91 @@ class Inference(Recorded):
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
         named += [("torque process", self.torque, (*TORQUE_PROCESSES, "auto")), ("noise", self.family, FAMILIES)]
+        named += [("word of --learn", word, (LENGTHS, *CAMERAS)) for word in self.learned]
         for what, given, known in named:
             if given not in known:
                 raise InputError(f"unknown {what} {given!r}: known are {', '.join(known)}")
 
-    def check_kinematic(self, **others: Path | None) -> None:
-        """Raise InputError for options, of this group and `others`, that a motion without forces has no use for."""
-        from invdyn.recordings import InputError
-
-        own = {field.name: field.default for field in fields(self) if field.name in FORCES}
-        given = [name for name, default in own.items() if getattr(self, name) != default]
-        given += [name for name, value in others.items() if value is not None]
-        if given:
-            raise InputError(f"--{given[0].replace('_', '-')}: has no part in --kinematic; leave one of them out")
-
-    @staticmethod
-    def kinematic(arguments: dict[str, Any]) -> dict[str, Any]:
-        """Of what `load` returns that which `inference.infer_kinematics` takes."""
-        return {name: value for name, value in arguments.items() if name not in FORCES}
+    @property
+    def other_recordings(self) -> list[str]:
+        """The truth."""
+        return [] if self.truth is None else [self.truth]
 
     @property
-    def files(self) -> list[Path]:
-        """What is read, and must not be written over."""
-        named = [Path(name) for name in (*self.tracked, self.body, self.truth) if name is not None]
-        return [*named, *(self.calibration or [])]
-
-    @property
-    def guessed(self) -> bool:
-        """Whether lengths are learned."""
-        return self.learn_lengths
+    def learned(self) -> list[str]:
+        """Words of `learn`."""
+        return [word.strip() for text in self.learn or () for word in text.split(",") if word.strip()]
 
     @property
     def family(self) -> str:
-        """Of the noise: a tracker's pixels stray."""
+        """Of the noise: a tracker's pixels have outliers."""
         return self.noise or ("student_t" if self.calibration else "gaussian")
 
-    def load(self) -> dict[str, Any]:
-        """Read all of it: keyword arguments of `inference.infer` and `inference.compare`. Raises as readers do."""
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `inference.infer` and `inference.compare`, but for what is read."""
         from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES
 
-        from .inputs import load_known
-        from .inputs_of_cameras import load_from_cameras
-
-        recording: Any
-        body: Any
-        if self.calibration:
-            recording, body = load_from_cameras(
-                self.recordings,
-                self.calibration,
-                self.body,
-                self.frames,
-                self.offset or (),
-                self.not_of_cameras | {"--learn-lengths": self.learn_lengths},
-                fps=self.fps,
-                format=self.format,
-                individual=self.individual,
-            )
-        else:
-            self._check_no_cameras()
-            body = self.read_body()
-            recording = self.read(self.recording, body, frames=self.frames)
+        processes = SMOOTHNESS if self.torque == "auto" else [self.torque]
         return {
-            "recording": recording,
-            "body": body,
-            "truth": None if self.truth is None else load_known(self.truth, body),
             "num_filters": self.filters,
             "num_particles": self.particles,
             "num_draws": self.draws,
             "seed": self.seed,
-            "learn_lengths": self.learn_lengths,
-            "torque": [TORQUE_PROCESSES[name]() for name in (SMOOTHNESS if self.torque == "auto" else [self.torque])],
+            "learn_lengths": LENGTHS in self.learned,
+            "torque": None if self.torque == OU else [TORQUE_PROCESSES[name]() for name in processes],
             "family": self.family,
-            "learn_cameras": tuple(word.strip() for word in self.learn_cameras.split(",") if word.strip()),
-            "passive": self.passive,
+            "learn_cameras": tuple(word for word in self.learned if word in CAMERAS),
+            "passive": self.zero_torque,
             "hide_torque": self.hide_torque,
             "device": self.device,
             "filters_per_task": self.filters_per_task,
+            "checkpoint": self.checkpoint,
         }
 
-    def _check_no_cameras(self) -> None:
+    def load(self, **more: Any) -> tuple[dict[str, Any], "TrackedFilm | None"]:
+        """Read recording, body and truth; and the film that was tracked, if any.
+
+        ``more`` are options of readers. Raises as readers do.
+        """
         from invdyn.recordings import InputError
 
-        if self.offset or self.learn_cameras:
-            option = "--offset" if self.offset else "--learn-cameras"
-            raise InputError(
-                f"{option} needs several cameras: pass --calibration, and one file of pixels for each camera"
-            )
+        from .inputs import LOG, check_options, load_known, read_recordings, source_of
 
-    def executor(self) -> AbstractContextManager:
-        """Executor asked for, or None, for the time of a block. Raises InputError when there is none to be had."""
-        from invdyn.inference.execution.executors import open_executor
+        source = source_of(self.recordings, self.calibration, self.mapping)
+        check_options(self.recording, [source], self.reading)
+        if not self.calibration and (cameras := [word for word in self.learned if word in CAMERAS]):
+            raise InputError(f"--learn {cameras[0]} needs several cameras: pass --calibration, and a file for each one")
+        body = self.read_body(filmed=source is not LOG)
+        more |= {"frames": self.frames, "guessed": LENGTHS in self.learned}
+        readings = read_recordings(self.recordings, body, **self.reading, **more)
+        if len(readings) > 1:
+            raise InputError(f"expected one recording, got {len(readings)} episodes: --set episodes=0 chooses one")
+        truth = None if self.truth is None else load_known(self.truth, body)
+        return {"recording": readings[0].recording, "body": body, "truth": truth}, readings[0].film
 
-        return open_executor(self.workers, self.scheduler)
+
+def kinematic_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Those that `inference.infer_kinematics` takes. Raises InputError for any other that is not its default."""
+    from invdyn.inference import infer
+    from invdyn.inference.kinematics import infer_kinematics
+    from invdyn.recordings import InputError
+
+    usual, taken = inspect.signature(infer).parameters, inspect.signature(infer_kinematics).parameters
+    for name, value in arguments.items():
+        if name not in taken and value != usual[name].default:
+            option = {"passive": "zero-torque", "executor": "workers", "learn_cameras": "learn"}.get(name, name)
+            raise InputError(f"--{option.replace('_', '-')}: has no part in --kinematic; leave one of them out")
+    return {name: value for name, value in arguments.items() if name in taken}
+
+
+def open_workers(workers: str | None) -> AbstractContextManager:
+    """The executor of `--workers`, or None, for the time of a block. Raises InputError where it cannot be had."""
+    from invdyn.inference.execution.executors import open_executor
+    from invdyn.recordings import InputError
+
+    if workers is None or not workers.lstrip("-").isdigit():
+        return open_executor(None, workers)
+    if not 1 <= int(workers) <= MAX_WORKERS:
+        raise InputError(f"--workers: expected 1 to {MAX_WORKERS} processes, or a scheduler, got {workers}")
+    return open_executor(int(workers))

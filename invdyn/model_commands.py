@@ -1,65 +1,57 @@
 """The command of models of one's own: `invdyn compare model.py:Model rows.csv`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import MOST_WORKERS, Seed
+from .options import Device, Draws, Filters, FolderOut, Isolate, Methods, Particles, Replicates, Seed, Workers
+from .settings import with_settings
 
 if TYPE_CHECKING:
     import numpy as np
 
     from invdyn.models import StateSpaceModel
 
-Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method with seeds of their own.")]
-Isolate = Annotated[
-    bool, typer.Option("--isolate", help="Each method in a process of its own: its memory is its own too.")
-]
 
-
-def register(app: typer.Typer) -> None:
+def register(command: Callable[..., Any]) -> None:
     """Add the command."""
-    app.command(name="compare-model")(compare_model)
+    command(name="compare-model")(with_settings(compare_model))
 
 
 def compare_model(
     model: Annotated[str, typer.Argument(metavar="FILE.py:NAME", help="A state-space model; its file is run.")],
     rows: Annotated[Path, typer.Argument(help="Its rows: .csv with a header; an empty cell is missing.")],
-    methods: Annotated[str, typer.Option(help="Such as smc,bootstrap; the answer to an unknown one lists them all.")],
-    out: Annotated[Path, typer.Option(help="Folder for table, figure and posteriors; made when missing.")],
+    methods: Methods,
+    out: FolderOut,
     truth: Annotated[Path | None, typer.Option(help="True states to score against: .csv, a column each.")] = None,
-    filters: Annotated[int, typer.Option(min=1, help="Independent filters.")] = 64,
-    particles: Annotated[int, typer.Option(min=1, help="Particles of each.")] = 100,
-    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each.")] = 4,
+    filters: Filters = 64,
+    particles: Particles = 100,
+    draws: Draws = 4,
     replicates: Replicates = 1,
     isolate: Isolate = False,
     seed: Seed = 0,
-    workers: Annotated[
-        int | None, typer.Option(min=1, max=MOST_WORKERS, help="Processes that share the filters.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Where the filters run: a Dask scheduler (tcp://host:8786), or mpi.")
-    ] = None,
-    device: Annotated[str, typer.Option(help="Where particle filters compute: cpu or cuda.")] = "cpu",
+    workers: Workers = None,
+    device: Device = "cpu",
 ) -> None:
-    """Run several methods on a state-space model of your own: one table, one figure.
+    """Run several methods on your own state-space model.
 
-    NAME is a model, a class without arguments, or a function or class of the rows, (T, O).
+    One table, one figure. NAME is a model, a class without arguments, or a function or class of the rows, (T, O).
     """
     from invdyn.inference import compare_methods
-    from invdyn.inference.execution.executors import open_executor
 
     from .console import ProgressBar, say
-    from .outputs import ComparisonOutputs
+    from .inference_options import open_workers
+    from .outputs import OutputFolder, write_comparison
     from .summary import comparison_text
 
     names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
-    outputs = ComparisonOutputs(out, names)
+    outputs = OutputFolder.of_comparison(out, names)
     outputs.check(rows, *([] if truth is None else [truth]))
     observed, states = read_columns(rows), None if truth is None else read_columns(truth)
     own = load_model(model, observed)
-    with open_executor(workers, scheduler) as executor, ProgressBar() as progress:
+    with open_workers(workers) as executor, ProgressBar() as progress:
         comparison = compare_methods(
             own,
             observed,
@@ -76,9 +68,9 @@ def compare_model(
             executor=executor,
             name=rows.name,
         )
-    outputs.write(comparison, states)
+    write_comparison(outputs, comparison, states)
     say(comparison_text(comparison))
-    say(outputs.listing(comparison))
+    say(outputs.listing(comparison.failures))
 
 
 def read_columns(path: Path) -> "np.ndarray":
@@ -91,12 +83,12 @@ def read_columns(path: Path) -> "np.ndarray":
     columns, _ = read_table(path)
     columns.pop("time", None)
     if not columns:
-        raise InputError(f"{path}: expected a column of numbers beside time, got none")
+        raise InputError(f"{path}: expected a column of numbers in addition to time, got none")
     return np.stack(list(columns.values()), axis=-1)
 
 
 def load_model(word: str, rows: "np.ndarray") -> "StateSpaceModel":
-    """The model that FILE.py:NAME names; running the file may raise whatever it raises.
+    """The model that FILE.py:NAME names; running the file may raise any exception.
 
     Raises InputError for a name that the file does not have, or that is no model.
     """

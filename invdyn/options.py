@@ -1,45 +1,72 @@
-"""Options that commands share: a dataclass whose fields are options, spread into a command by a decorator."""
+"""Options that commands share, each declared once."""
 
-import inspect
-from collections.abc import Callable
-from dataclasses import MISSING, fields
-from functools import update_wrapper
-from typing import Annotated, Any, get_type_hints
+from pathlib import Path
+from typing import Annotated
 
 import typer
+
+from .settings import Setting
+
+LARGEST_SEED = 2**63 - 1  # what torch and netCDF can hold
+MAX_WORKERS = 1024
 
 BodyFile = Annotated[
     str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or the name of one of ours.")
 ]
-LARGEST_SEED = 2**63 - 1  # what torch and netCDF take alike
-MOST_WORKERS = 1024
+Units = Annotated[str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")]
+FrameRate = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the file has no times.")]
+Frames = Annotated[str, typer.Option(help="Rows to use of the first recording, such as 50:250.")]
+Mapping = Annotated[
+    str | None, typer.Option("--map", metavar="FILE", help="Which track of a robot's log is which joint's: .toml.")
+]
+Calibration = Annotated[
+    list[Path] | None,
+    typer.Option(help="The cameras' calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
+]
+Offset = Annotated[list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")]
+Tracker = Annotated[
+    str | None,
+    typer.Option(help="What tracks a film: the left or right arm of a person, or a network of `invdyn train`."),
+]
+ZeroTorque = Annotated[bool, typer.Option("--zero-torque", help="No torque acts: the body moves freely.")]
+Methods = Annotated[str, typer.Option(help="Such as smc,bootstrap; an unknown name lists them all.")]
+Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method, with different seeds.")]
+Isolate = Annotated[
+    bool, typer.Option("--isolate", help="Run each method in its own process, so that its memory is measured.")
+]
+Filters = Annotated[int, typer.Option(min=1, help="Independent filters.")]
+Particles = Annotated[int, typer.Option(min=1, help="Particles of each filter.")]
+Draws = Annotated[int, typer.Option(min=1, help="Trajectories drawn from each filter.")]
+Workers = Annotated[
+    str | None, typer.Option(help="Processes that share the filters; or a Dask scheduler (tcp://host:8786), or mpi.")
+]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--workers", min=1, max=MAX_WORKERS, help="Processes, with the same result (on Linux; one elsewhere)."
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
+Checkpoint = Annotated[
+    Path | None, typer.Option(help="Folder that keeps what is done; the same call continues from there.")
+]
+Outputs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--out",
+        metavar="FILE",
+        help="What to write, by its ending; repeatable: .nc (the posterior, ArviZ), .png, .pdf or .svg "
+        "(figure), .gif or .mp4 (film of the arm), .csv (curves with 90 % bands), .sto (torques for "
+        "OpenSim), .mot (angles for OpenSim).",
+    ),
+]
+FolderOut = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder for all of it; made if missing.")]
+TracksOut = Annotated[Path, typer.Option("--out", help="The tracks, in px: .csv.")]
 
-
-def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Let typer see the fields of a command's first parameter, a dataclass, as options: the required ones before the
-    command's own options, the others after them.
-    """
-    (first, *own) = inspect.signature(command).parameters.values()
-    hints = get_type_hints(command, include_extras=True)
-    group = hints.pop(first.name)
-    kinds = get_type_hints(group, include_extras=True)
-
-    def parameter(name: str, default: Any, kind: Any) -> inspect.Parameter:
-        empty = inspect.Parameter.empty if default is MISSING else default
-        return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=empty, annotation=kind)
-
-    shared = [parameter(field.name, field.default, kinds[field.name]) for field in fields(group)]
-    required = [one for one in shared if one.default is inspect.Parameter.empty]
-    rest = [one for one in shared if one not in required]
-    parameters = [*required, *(one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own), *rest]
-
-    def spread_command(**options: Any) -> None:
-        given = group(**{name: options.pop(name) for name in kinds})
-        command(given, **options)
-
-    update_wrapper(spread_command, command)
-    vars(spread_command)["__signature__"] = inspect.Signature(parameters)
-    spread_command.__annotations__ = {one.name: hints.get(one.name, one.annotation) for one in parameters}
-    del vars(spread_command)["__wrapped__"]
-    return spread_command
+Person = Annotated[
+    str | None, Setting("which of several people in a film: left, right, largest, or a box u,v,width,height, px")
+]
+Individual = Annotated[str | None, Setting("which animal, in a file of several")]
+FileFormat = Annotated[str | None, Setting("format of the file, if its name does not say")]
+Device = Annotated[str, Setting("where particle filters compute: cpu or cuda")]
+FiltersPerTask = Annotated[int | None, Setting("filters that a worker takes at a time; default: 32", int, least=1)]

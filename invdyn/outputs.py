@@ -1,8 +1,8 @@
 """What a command leaves: the posterior, its figure and film, torques (.sto, .csv), motion (.mot); a comparison."""
 
 import json
-from collections.abc import Callable, Iterable
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Container, Hashable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import arviz as az
@@ -10,9 +10,10 @@ import numpy as np
 
 from invdyn.inference import Comparison, save_posterior
 from invdyn.recordings import InputError, new_folder, whole_set, write_moments, write_motion, write_table, write_text
+from invdyn.recordings.reading import TrackedFilm
 
 from .console import check_ending, check_outputs
-from .film import check_film, save_film
+from .film import FILM_SUFFIXES, check_film, save_film
 from .overlay import Overlay
 from .plots import FIGURE_SUFFIXES, plot_comparison, plot_posterior, quantiles, save_figure, shifts
 
@@ -20,145 +21,137 @@ FILES = {*FIGURE_SUFFIXES, ".nc", ".csv", ".json", ".html"}
 """Endings of what lies in the folders that commands leave."""
 
 
-@dataclass(frozen=True)
-class Outputs:
-    """Where each output goes; None = not wanted."""
+KINDS = {
+    "posterior": (".nc",),
+    "figure": FIGURE_SUFFIXES,
+    "film": FILM_SUFFIXES,
+    "OpenSim": (".sto",),
+    "motion": (".mot",),
+    "CSV": (".csv",),
+}
+"""What an output of an inference is, by its ending."""
 
-    posterior: Path | None = None
-    figure: Path | None = None
-    film: Path | None = None
-    sto: Path | None = None
-    mot: Path | None = None
-    csv: Path | None = None
+
+@dataclass(frozen=True)
+class OutputFiles:
+    """The files that an inference leaves; what each is, its ending says."""
+
+    paths: tuple[Path, ...]
+
+    def of(self, kind: str) -> list[Path]:
+        """Those of a kind, a key of :data:`KINDS`."""
+        return [path for path in self.paths if path.suffix.lower() in KINDS[kind]]
 
     @property
-    def paths(self) -> tuple[Path | None, ...]:
-        """All of them."""
-        return astuple(self)
+    def usual_tracks(self) -> Path:
+        """Where the tracks of a film go, unless it is said: next to the posterior."""
+        return next(iter(self.of("posterior")), Path("posterior.nc")).with_suffix(".tracks.csv")
 
-    def check(self, *inputs: Path) -> None:
-        """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
-        check_outputs(self.paths, inputs)
-        check_ending("a posterior", self.posterior, ".nc")
-        check_ending("a figure", self.figure, *FIGURE_SUFFIXES)
-        check_ending("a table of torques", self.csv, ".csv")
-        check_ending("a file of torques for OpenSim", self.sto, ".sto")
-        check_ending("a file of angles for OpenSim", self.mot, ".mot")
-        if self.film is not None:
-            check_film(self.film)
+    def check(self, *inputs: Path, inferred: bool = False, tracks: Path | None = None, torques: bool = True) -> None:
+        """Before a long run: raise OSError or InputError unless all of it can be written, over no input.
+
+        A posterior that is ``inferred`` must be among the files. ``tracks`` is the file of a film's tracks;
+        ``torques`` is whether they are inferred.
+        """
+        check_outputs([*self.paths, tracks], inputs)
+        for path in self.paths:
+            check_ending("an output", path, *(ending for kind in KINDS.values() for ending in kind))
+        check_ending("a file of tracks", tracks, ".csv")
+        if inferred and len(found := self.of("posterior")) != 1:
+            raise InputError(f"--out: expected one file for the posterior, such as posterior.nc, got {len(found)}")
+        if not torques:
+            self._check_torques(())
+        for path in self.of("film"):
+            check_film(path)
 
     def write(
         self,
         idata: az.InferenceData,
         progress: Callable[[int, int, str], None] | None = None,
-        overlay: Callable[[az.InferenceData], Overlay] | None = None,
+        tracked: TrackedFilm | None = None,
     ) -> None:
-        """Write what is wanted, as a set (`whole_set`); the posterior first, as it took longest.
+        """Write all of it as a set (`whole_set`), the posterior first, as it took longest.
 
-        `overlay` makes what the film is laid over.
+        A film of the arm is laid over the film that was ``tracked``, if any.
         """
         if "joint" not in idata["posterior"].dims:
             raise InputError("expected the posterior of an arm, got one of a state-space model: read it by ArviZ")
-        if self.sto is not None and "torque" not in idata["posterior"]:
-            raise InputError(f"{self.sto}: a kinematic posterior has no torques to write for OpenSim; leave --sto out")
-        with whole_set():
-            self._write(idata, progress, overlay)
-
-    def _write(
-        self,
-        idata: az.InferenceData,
-        progress: Callable[[int, int, str], None] | None,
-        overlay: Callable[[az.InferenceData], Overlay] | None,
-    ) -> None:
+        self._check_torques(idata["posterior"])
         time, joints = idata["posterior"]["time"].values, [str(name) for name in idata["posterior"]["joint"].values]
-        if self.posterior is not None:
-            save_posterior(idata, self.posterior)
-        if self.csv is not None:
-            write_table(curves(idata), self.csv)
-        if self.sto is not None:
-            low, _, median, _, high = quantiles(idata, "torque")
-            shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
-            write_moments(self.sto, time, median, low, high, joints, shifting)
-        if self.mot is not None:
-            write_motion(self.mot, time, quantiles(idata, "angle")[2], joints)
-        if self.figure is not None:
-            save_figure(plot_posterior(idata), self.figure)
-        if self.film is not None:
-            save_film(idata, self.film, progress, None if overlay is None else overlay(idata))
+        with whole_set():
+            for path in self.of("posterior"):
+                save_posterior(idata, path)
+            for path in self.of("CSV"):
+                write_table(curves(idata), path)
+            for path in self.of("OpenSim"):
+                low, _, median, _, high = quantiles(idata, "torque")
+                shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
+                write_moments(path, time, median, low, high, joints, shifting)
+            for path in self.of("motion"):
+                write_motion(path, time, quantiles(idata, "angle")[2], joints)
+            for path in self.of("figure"):
+                save_figure(plot_posterior(idata), path)
+            for path in self.of("film"):
+                save_film(idata, path, progress, None if tracked is None else Overlay.of(tracked, idata))
+
+    def _check_torques(self, known: Container[Hashable]) -> None:
+        if "torque" not in known and (paths := self.of("OpenSim")):
+            raise InputError(f"{paths[0]}: a kinematic posterior has no torques to write for OpenSim; leave it out")
 
     def listing(self) -> str:
         """What lies where: an empty line, then one each."""
-        kinds = {
-            "posterior": self.posterior,
-            "figure": self.figure,
-            "film": self.film,
-            "OpenSim": self.sto,
-            "motion": self.mot,
-            "CSV": self.csv,
-        }
-        return "".join(f"\n{kind:<10} {path}" for kind, path in kinds.items() if path is not None)
+        return "".join(f"\n{kind:<10} {path}" for kind in KINDS for path in self.of(kind))
 
 
 @dataclass(frozen=True)
-class ComparisonOutputs:
-    """The folder of a comparison of `methods`: table (.csv and .json), figure, and each method's posterior."""
+class OutputFolder:
+    """A folder that a command leaves, with a file of each kind."""
 
     folder: Path
-    methods: tuple[str, ...]
+    names: dict[str, str]
 
-    @property
-    def paths(self) -> dict[str, Path]:
-        """What kind -> where."""
+    @classmethod
+    def of_comparison(cls, folder: Path, methods: Iterable[str]) -> "OutputFolder":
+        """Table (.csv and .json), figure, and each method's posterior."""
         named = {"table": "comparison.csv", "JSON": "comparison.json", "figure": "figure.png"}
-        named |= {method: f"{method}.nc" for method in self.methods}
-        return {kind: self.folder / name for kind, name in named.items()}
+        return cls(folder, named | {method: f"{method}.nc" for method in methods})
 
-    def check(self, *inputs: Path) -> None:
-        """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
-        check_folder(self.folder, self.paths.values(), inputs)
-
-    def write(self, comparison: Comparison, truth: np.ndarray | None = None) -> None:
-        """Write all of it, as a set (`whole_set`), where any method succeeded; posteriors first.
-
-        `truth` (rows, states) is known of a model of one's own. Raises InputError where no method succeeded.
-        """
-        if not comparison.posteriors:
-            reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
-            raise InputError(f"no method succeeded: {reasons}")
-        with new_folder(self.folder), whole_set():
-            for method, idata in comparison.posteriors.items():
-                save_posterior(idata, self.paths[method])
-            write_text(self.paths["table"], comparison.table.to_csv(lineterminator="\n"))
-            write_text(self.paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
-            save_figure(plot_comparison(comparison.posteriors, truth), self.paths["figure"])
-
-    def listing(self, comparison: Comparison) -> str:
-        """What lies where: an empty line, then one each."""
-        missing = set(self.methods) - set(comparison.posteriors)
-        kinds = {kind: path for kind, path in self.paths.items() if kind not in missing}
-        width = max(map(len, kinds))
-        return "".join(f"\n{kind:<{width}} {path}" for kind, path in kinds.items())
-
-
-@dataclass(frozen=True)
-class DiagnosisOutputs:
-    """The folder of a diagnosis."""
-
-    folder: Path
+    @classmethod
+    def of_diagnosis(cls, folder: Path) -> "OutputFolder":
+        """Report, JSON and posterior."""
+        return cls(folder, {"report": "report.html", "JSON": "diagnosis.json", "posterior": "posterior.nc"})
 
     @property
     def paths(self) -> dict[str, Path]:
         """What kind -> where."""
-        named = {"report": "report.html", "JSON": "diagnosis.json", "posterior": "posterior.nc"}
-        return {kind: self.folder / name for kind, name in named.items()}
+        return {kind: self.folder / name for kind, name in self.names.items()}
 
     def check(self, *inputs: Path) -> None:
         """Before a long run: raise OSError or InputError unless all of it can be written, over no input."""
         check_folder(self.folder, self.paths.values(), inputs)
 
-    def listing(self) -> str:
-        """What lies where: an empty line, then one each."""
-        return "".join(f"\n{kind:<10} {path}" for kind, path in self.paths.items() if path.exists())
+    def listing(self, failed: Container[str] = ()) -> str:
+        """What lies where: an empty line, then one each; none of methods that ``failed``."""
+        there = {kind: path for kind, path in self.paths.items() if path.exists() and kind not in failed}
+        width = max(10, *map(len, there))
+        return "".join(f"\n{kind:<{width}} {path}" for kind, path in there.items())
+
+
+def write_comparison(outputs: OutputFolder, comparison: Comparison, truth: np.ndarray | None = None) -> None:
+    """Write a comparison as a set (`whole_set`), posteriors first; ``truth`` (rows, states) is that of one's own model.
+
+    Raises InputError where no method succeeded.
+    """
+    if not comparison.posteriors:
+        reasons = "; ".join(f"{method}: {reason}" for method, reason in comparison.failures.items())
+        raise InputError(f"no method succeeded: {reasons}")
+    paths = outputs.paths
+    with new_folder(outputs.folder), whole_set():
+        for method, idata in comparison.posteriors.items():
+            save_posterior(idata, paths[method])
+        write_text(paths["table"], comparison.table.to_csv(lineterminator="\n"))
+        write_text(paths["JSON"], json.dumps(comparison.to_dict(), indent=1, ensure_ascii=False) + "\n")
+        save_figure(plot_comparison(comparison.posteriors, truth), paths["figure"])
 
 
 def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) -> None:

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 import arviz as az
 import numpy as np
 
-from invdyn.recordings import InputError, Recording
+from invdyn.recordings import InputError, Recording, read_keypoint_csv
+from invdyn.recordings.reading import TrackedFilm
 from invdyn.recordings.tracking.film import Film, read_pictures
 
 LONGEST = 720  # px of the pictures' longer side, as drawn
@@ -49,6 +50,11 @@ class Overlay:
         middle, centre = x[known].mean(0), pixels[known].mean(0)
         self.scale = float(((x[known] - middle) * (pixels[known] - centre)).sum() / ((x[known] - middle) ** 2).sum())
         self._origin = _filled(origin) + centre - self.scale * middle
+
+    @classmethod
+    def of(cls, tracked: TrackedFilm, idata: az.InferenceData) -> "Overlay":
+        """Over the film that was tracked."""
+        return cls(Film(tracked.path), read_keypoint_csv(tracked.tracks), tracked.base, idata)
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Points (…, T, P, 2) m, y up, in px, v down."""

@@ -1,6 +1,6 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands, and the filters' health.
 
-Each joint has a row with its angle (rad) and its torque (N·m). Beside them each tracked keypoint has a row, or a point
+Each joint has a row with its angle (rad) and its torque (N·m). Next to them each tracked keypoint has a row, or a point
 of the body where none was tracked: observed and predicted, in the recording's length unit. Below stands the effective
 sample size of the filters over time, with resampling marked. Rows that tell nothing of a coordinate are hatched: what
 is drawn there is the prior.
@@ -27,7 +27,7 @@ from matplotlib.patches import Patch
 from invdyn.inference import evidence_note, pooled
 from invdyn.recordings import atomic_path
 
-# Okabe and Ito's colours: told apart by the colour-blind too.
+# Okabe and Ito's colours: the colour-blind can distinguish them too.
 BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 ORANGE, SKY, PINK = "#E69F00", "#56B4E9", "#CC79A7"
 METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, PINK)

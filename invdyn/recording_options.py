@@ -1,4 +1,4 @@
-"""Options of every command on a recording: which file, how to read it, and a body."""
+"""Options of every command on a recording: which files, how to read them, and a body."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,22 @@ from typing import Annotated, Any
 
 import typer
 
-from .options import BodyFile
+from .options import (
+    BodyFile,
+    Calibration,
+    Checkpoint,
+    FileFormat,
+    FrameRate,
+    Frames,
+    Individual,
+    Mapping,
+    Offset,
+    Person,
+    Tracker,
+    Units,
+    ZeroTorque,
+)
+from .settings import Setting
 
 
 @dataclass(frozen=True)
@@ -17,130 +32,107 @@ class Recorded:
         list[str],
         typer.Argument(
             metavar="RECORDING…",
-            help="File of keypoints, or the name of a known recording; with --calibration one file of pixels a camera.",
+            help="Keypoints, a film, a robot's log, or the name of a known recording; "
+            "with --calibration one file of pixels for each camera.",
         ),
     ]
     body: BodyFile
-    calibration: Annotated[
-        list[Path] | None,
-        typer.Option(help="The cameras' calibration, in metres: .toml, .qca.txt, .yml or .json (OpenCV; repeatable)."),
+    units: Units = None
+    fps: FrameRate = None
+    scale: Annotated[
+        str | None, typer.Option(help="Metres a pixel; 'body' if unknown: the tracks are scaled to the body's length.")
     ] = None
-    units: Annotated[
-        str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")
-    ] = None
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the file has no times.")] = None
-    format: Annotated[str | None, typer.Option(help="Format of the file, if its name does not tell.")] = None
-    scale: Annotated[float | None, typer.Option(help="Metres a pixel.")] = None
-    body_lengths: Annotated[
-        bool, typer.Option("--body-lengths", help="The scale is unknown: scale the tracks to the body's length.")
-    ] = False
     base: Annotated[
         str | None,
-        typer.Option(
-            help="Keypoint that becomes the origin; default: the first joint's; `diagnose` of metres moves none."
-        ),
+        typer.Option(help="Keypoint that becomes the origin; default: the first joint's (`diagnose` of metres: none)."),
     ] = None
-    individual: Annotated[str | None, typer.Option(help="Which animal, in a file of several.")] = None
-    plane: Annotated[
-        str | None,
-        typer.Option(help="Axes of a file in space that point right and up, such as xz; default: the two that change."),
-    ] = None
-    frames: Annotated[str, typer.Option(help="Which rows to use, of the first recording, such as 50:250.")] = ":"
-    passive: Annotated[bool, typer.Option("--passive", help="No torque acts: the body moves freely.")] = False
+    frames: Frames = ":"
+    calibration: Calibration = None
+    offset: Offset = None
+    tracker: Tracker = None
+    mapping: Mapping = None
+    zero_torque: ZeroTorque = False
     hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
-
-    def __post_init__(self) -> None:
-        """Raise InputError for a scale that is given and said to be unknown."""
-        from invdyn.recordings import InputError
-
-        if self.scale is not None and self.body_lengths:
-            raise InputError(
-                "--scale says how long a pixel is, --body-lengths that this is not known: leave one of them out"
-            )
+    checkpoint: Checkpoint = None
+    episodes: Annotated[str, Setting("which episodes of a log, such as 0,1; default: the first")] = "0"
+    format: FileFormat = None
+    individual: Individual = None
+    person: Person = None
+    plane: Annotated[
+        str | None, Setting("axes of a file in space that point right and up, such as xz; default: the two that change")
+    ] = None
+    tracks: Annotated[Path | None, Setting("where a film's tracks go: .csv; default: next to the output")] = None
 
     def check_exist(self) -> None:
-        """Raise FileNotFoundError for a body or a recording that is nowhere, before anything large is imported.
+        """Raise FileNotFoundError for a file that is nowhere, before anything large is imported."""
+        from .input_names import check_exist
 
-        Films, and what goes with several cameras, have checks of their own.
-        """
-        from invdyn.recordings.tracking.film import is_film
-
-        from .named_files import body_file, check_recording
-
-        if self.calibration or len(self.recordings) != 1 or is_film(self.recordings[0]):
-            return
-        with body_file(self.body):
-            check_recording(self.recordings[0])
+        check_exist(*self.tracked, *(() if self.calibration else self.other_recordings), body=self.body)
 
     @property
     def recording(self) -> str:
-        """The one that is given. Raises InputError for several, which only cameras are."""
-        from invdyn.recordings import InputError
-
-        if len(self.recordings) > 1:
-            raise InputError(
-                f"expected one recording, got {len(self.recordings)}: tracks of several cameras need --calibration"
-            )
+        """The first one."""
         return self.recordings[0]
 
     @property
-    def guessed(self) -> bool:
-        """Whether the body's lengths are guessed, and will be learned."""
-        return False
-
-    @property
     def tracked(self) -> list[str]:
-        """Files of what was tracked; with a calibration a name may say the camera, "cam1=tracks.csv"."""
+        """Files of the recordings; with a calibration a name may say the camera, "cam1=tracks.csv"."""
         return [name.rpartition("=")[2] if self.calibration else name for name in self.recordings]
 
     @property
-    def not_of_cameras(self) -> dict[str, Any]:
-        """Options that tracks of several cameras do not take, with their values."""
-        return {
-            "--units": self.units,
-            "--scale": self.scale,
-            "--base": self.base,
-            "--plane": self.plane,
-            "--body-lengths": self.body_lengths,
-        }
+    def other_recordings(self) -> list[str]:
+        """Files, or names of known recordings, that are read in addition."""
+        return []
 
     @property
-    def of_keypoints(self) -> dict[str, Any]:
-        """Options that a robot's own log does not take, with their values."""
-        return {
-            "--fps": self.fps,
-            "--format": self.format,
-            "--scale": self.scale,
-            "--body-lengths": self.body_lengths,
-            "--base": self.base,
-            "--individual": self.individual,
-            "--plane": self.plane,
+    def files(self) -> list[Path]:
+        """What is read, and must not be written over."""
+        network = [] if self.tracker in (None, "left", "right") else [str(self.tracker)]
+        named = (
+            *self.tracked,
+            self.body,
+            *network,
+            *(self.calibration or ()),
+            *([self.mapping] if self.mapping else ()),
+        )
+        return [Path(name) for name in named]
+
+    @property
+    def metres_a_pixel(self) -> float | str | None:
+        """The scale, or "body". Raises InputError for what is neither."""
+        from invdyn.recordings import InputError
+
+        if self.scale in (None, "body"):
+            return self.scale
+        try:
+            return float(self.scale)
+        except ValueError:
+            raise InputError(f"--scale: expected metres a pixel, or body, got {self.scale!r}") from None
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Options of how to read files, by the names that readers have."""
+        names = ("units", "fps", "format", "base", "individual", "plane", "calibration", "offset")
+        names += ("tracker", "person", "mapping")
+        return {name: getattr(self, name) for name in names} | {
+            "scale": self.metres_a_pixel,
+            "episodes": None if self.episodes == "0" else self.episodes,
         }
 
-    def read_body(self, *, filmed: bool = True) -> Any:
+    def read_body(self, *, filmed: bool) -> Any:
         """The body, of as many dimensions as the recording shows of a robot's file; see `inputs.load_body`."""
-        from .inputs import is_log, load_body
+        from .inputs import TABLE, load_body, source_of
 
-        recording = None if self.plane or self.calibration or is_log(self.recording) else self.recording
-        options = {name: getattr(self, name) for name in ("units", "fps", "format", "scale", "individual")}
-        return load_body(self.body, filmed=filmed, recording=recording if filmed else None, **options)
+        names = ("units", "fps", "format", "individual")
+        options = {name: getattr(self, name) for name in names}
+        if isinstance(self.metres_a_pixel, float):
+            options["scale"] = self.metres_a_pixel
+        table = filmed and not self.plane and source_of(self.recordings, self.calibration, self.mapping) is TABLE
+        return load_body(self.body, filmed=filmed, recording=self.recording if table else None, **options)
 
-    def read(self, name: str, body: Any, as_filmed: bool = False, frames: str = ":") -> Any:
-        """A recording of `body`, read as the options say; see `inputs.load_recording`. Raises as readers do."""
-        from .inputs import load_recording
+    def tracks_file(self, default: Path) -> Path | None:
+        """Where tracks go: the default unless it is said; None where the recording is no film."""
+        from invdyn.recordings.tracking.film import is_film
 
-        return load_recording(
-            name,
-            body,
-            self.base,
-            self.body_lengths,
-            as_filmed,
-            frames,
-            self.guessed,
-            units=self.units,
-            fps=self.fps,
-            format=self.format,
-            scale=self.scale,
-            individual=self.individual,
-            plane=self.plane,
-        )
+        filmed = not self.calibration and is_film(self.recording)
+        return (self.tracks or default) if filmed else None

@@ -1,48 +1,59 @@
 """The commands of robots' own logs: `invdyn check`."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from .console import BAD_INPUT, check_ending, check_outputs, say
+from .options import FrameRate, Frames, Mapping, Units, ZeroTorque
+from .settings import Setting, with_settings
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(check)
+def register(command: Callable[..., Any]) -> None:
+    """Add the command."""
+    command()(with_settings(check))
 
 
 def check(
     robot: Annotated[str, typer.Argument(help="Robot: .xml (MJCF), .urdf, .toml, or one that comes with us.")],
     log: Annotated[str, typer.Argument(help="Its log: .csv, .mcap, a ROS 2 bag or a LeRobot data set.")],
-    units: Annotated[str | None, typer.Option(help="Of the file, if not SI: deg, ms, us …")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames a second, if the log has no times.")] = None,
-    frames: Annotated[str, typer.Option(help="Which rows, such as 50:250.")] = ":",
-    mapping: Annotated[
-        str | None, typer.Option("--map", metavar="FILE", help="Which track of the log is which joint's: .toml.")
-    ] = None,
-    episode: Annotated[int, typer.Option(min=0, help="Which, in a log of several.")] = 0,
-    passive: Annotated[bool, typer.Option("--passive", help="No torque acts.")] = False,
+    units: Units = None,
+    fps: FrameRate = None,
+    frames: Frames = ":",
+    mapping: Mapping = None,
+    zero_torque: ZeroTorque = False,
     effects: Annotated[bool, typer.Option("--effects/--no-effects", help="Say which effects it could show.")] = True,
     out: Annotated[Path | None, typer.Option(help="The same as a file: .json.")] = None,
+    episodes: Annotated[str, Setting("which episode of a log of several; default: the first")] = "0",
 ) -> None:
-    """Check a log before a diagnosis: signs, zeros, units, columns, gears; what it excites, and what it can show.
+    """Check a log before a diagnosis, and say what it can show.
 
-    Exit code 2 where something is to be put right.
+    Signs, zeros, units, columns and gears; what it excites. Exit code 2 where
+    something is to be put right.
     """
+    from .input_names import check_exist
+
+    check_exist(log, body=robot)
+
     from invdyn.diagnosis.check.check import check as run
-    from invdyn.recordings import write_text
+    from invdyn.recordings import InputError, write_text
 
     from .check_text import check_text
-    from .inputs import is_log, load_body, read_as_it_stands
+    from .inputs import LOG, check_options, load_body, read_recordings, source_of
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
-    body = load_body(robot, filmed=not is_log(log, mapping))
-    reading = read_as_it_stands(log, body, units, frames, mapping, episode, fps)
-    found = run(reading, body, passive=passive, effects=effects)
+    source = source_of([log], None, mapping)
+    given = {"units": units, "fps": fps, "mapping": mapping, "episodes": None if episodes == "0" else episodes}
+    check_options(log, [source], given)
+    body = load_body(robot, filmed=source is not LOG)
+    readings = read_recordings([log], body, **given, frames=frames, as_it_stands=True)
+    if len(readings) > 1:
+        raise InputError(f"expected one episode to check, got {len(readings)}")
+    found = run(readings[0], body, passive=zero_torque, effects=effects)
     if out is not None:
         write_text(out, json.dumps(found.to_json(), indent=1, ensure_ascii=False) + "\n")
     say(check_text(found))

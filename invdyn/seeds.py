@@ -1,4 +1,4 @@
-"""A seed that is kept from other processes: from a file, or asked for, instead of the command line."""
+"""A seed that other processes cannot read: from a file or a prompt, instead of the command line."""
 
 import sys
 from pathlib import Path
@@ -10,9 +10,9 @@ LARGEST_SEED = 2**63 - 2**20
 
 
 def secret_seed(given: str | None, file: Path | None, default: int) -> tuple[int, bool]:
-    """A run's seed, and whether it is on no command line: `given` is a number, or "-" to be asked for.
+    """A run's seed, and whether it is on no command line: `given` is a number, or "-" for a prompt.
 
-    Asked for at a terminal it does not show; otherwise it is the first line of standard input. Raises InputError for
+    A prompt at a terminal does not show it; otherwise it is the first line of standard input. Raises InputError for
     both ways at once and for what is no seed, OSError for a file that cannot be read.
     """
     from invdyn.recordings import InputError, resolved

@@ -101,7 +101,7 @@ def random_arm(
         encoder_noise: standard deviation of encoders, rad (m of a slide), which are then recorded, too.
         torque_scale: standard deviation of each joint's torque, N·m; by default a fraction of what holds the
             body level (without gravity: of what turns it briskly).
-        commanded: the torques are a command, known and held from frame to frame, instead of unknown.
+        commanded: the torques are a command, known and constant from frame to frame, instead of unknown.
         seed: of the command.
 
     Raises:

@@ -289,7 +289,7 @@ for scale in scales:
 # %%
 arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
 try:
-    film = load_recording("human-arm", arm, base=None, body_lengths=True).select(50, 250)
+    film = load_recording("human-arm", arm, scale="body").select(50, 250)
     pixels = load("human-arm").select(50, 250)
 except InputError as error:
     film = None

@@ -259,7 +259,7 @@ print(f"rms error of all angles: {rms[0]:.4f} rad before, {rms[1]:.4f} rad after
 # invdyn diagnose log.mcap --map map.toml --body robot.xml --out found --write-back corrected.xml
 # ```
 #
-# Numbers of the file that you doubt can be learned with the causes: `--free damping,armature`.
+# Numbers of the file that you doubt can be learned with the causes: `--estimate damping,armature`.
 #
 # ## Exercises
 #

@@ -12,6 +12,8 @@ ibm-N        a passive toy double pendulum, 400 frames/s: its commanded torque i
 """
 
 import csv
+import difflib
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +37,16 @@ class Named:
 def names() -> tuple[str, ...]:
     """All names, in order."""
     return tuple(CATALOGUE)
+
+
+def check_exists(path_or_name: str | Path) -> None:
+    """Raise FileNotFoundError for what is no file, and no name of `names()`."""
+    path, known = Path(path_or_name), names()
+    if path.exists() or str(path_or_name) in known:
+        return
+    near = difflib.get_close_matches(str(path), known, 1, cutoff=0.7)
+    hint = f", nor a recording of that name; did you mean {near[0]!r}?" if near else ""
+    raise FileNotFoundError(errno.ENOENT, f"no such file{hint}", str(path))
 
 
 def demo_frames(name: str) -> slice:

@@ -61,7 +61,7 @@ def choose_individual(names: list[str], individual: str | None) -> str:
         return individual
     if individual is not None or len(names) != 1:
         problem = "several animals" if individual is None else f"no animal {individual!r}"
-        raise InputError(f"{problem}: choose one of {', '.join(names)} (--individual)")
+        raise InputError(f"{problem}: choose one of {', '.join(names)} (--set individual=NAME)")
     return names[0]
 
 

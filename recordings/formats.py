@@ -30,7 +30,7 @@ class Format:
     Attributes:
         title: for messages.
         read: (path, frames a second, individual or None) → Recording, numbers as in the file; the rate is None where
-            the file carries its times, and `load` has asked for it elsewhere.
+            the file carries its times; `load` makes sure of it elsewhere.
         own_times: the file carries its times; otherwise the frame rate must be given.
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
         animals: the file can hold several animals.
@@ -96,7 +96,7 @@ FORMATS: dict[str, Format] = {
 
 
 def recognise(path: Path, name: str | None = None) -> str:
-    """A key of `FORMATS`: the one asked for, or the one that the file looks like.
+    """A key of `FORMATS`: the one that is given, or the one that the file looks like.
 
     Raises:
         InputError: an unknown format, or a file that looks like none.
@@ -121,7 +121,7 @@ def recognise(path: Path, name: str | None = None) -> str:
             )
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb, "
-            f".trc or .mot (or say it: --format {'|'.join(FORMATS)})"
+            f".trc or .mot (or say it: --set format={'|'.join(FORMATS)})"
         )
     return by_suffix[suffix]
 

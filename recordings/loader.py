@@ -1,7 +1,5 @@
 """One call from a file, or the name of a known recording, to a checked Recording in SI units."""
 
-import difflib
-import errno
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -61,7 +59,7 @@ def load(
         Recording, lengths in m (or "px"), angles in rad, missing values NaN.
 
     Raises:
-        InputError: whatever is wrong with the file or does not fit these options, in one line.
+        InputError: what is wrong with the file, or does not fit these options, in one line.
         OSError: a file that cannot be opened.
     """
     path = Path(path_or_name)
@@ -73,7 +71,7 @@ def load(
             raise InputError(f"{path_or_name} has known units and times: leave {', '.join(surplus)} out")
         recording = catalogue.load_named(str(path_or_name))
     else:
-        check_exists(path)
+        catalogue.check_exists(path)
         recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane, shifting)
     with about(path_or_name):
         recording = _keep(recording, keypoints, joints, base)
@@ -96,7 +94,7 @@ def read_file(
     plane: str | None = None,
     shifting: Collection[str] = (),
 ) -> Recording:
-    """A file with all that is in it; arguments and errors as `load`'s, which then keeps what it is asked for."""
+    """A file with all that is in it; arguments and errors as those of `load`, which then keeps what is wanted."""
     check_readable(path)
     kind = recognise(path, format)
     form = FORMATS[kind]
@@ -119,7 +117,7 @@ def read_file(
         if kind in ("nexus", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if not form.animals and individual is not None:
-            raise InputError(f"a {form.title} file holds one body: leave --individual out")
+            raise InputError(f"a {form.title} file holds one body: leave individual out")
         _check_time_unit(form, declared, fps)
         if form.read is None:
             recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
@@ -141,7 +139,7 @@ def read_file(
                 f"--scale {scale:g} makes these keypoints larger than any body: expected metres a pixel, such as 0.002"
             ) from None
         if base is not None and base not in recording.keypoint_names:
-            _tell_no_base(recording, base, keypoints or (), own_frame=form.read is None)
+            _check_base(recording, base, keypoints or (), own_frame=form.read is None)
         return recording
 
 
@@ -154,7 +152,7 @@ def _check_time_unit(form: Format, declared: Units, fps: float | None) -> None:
         raise InputError(f"a {form.title} file numbers its frames, --fps says the rest: leave {declared.time!r} out")
 
 
-def _tell_no_base(recording: Recording, base: str, keypoints: Sequence[str], own_frame: bool) -> None:
+def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_frame: bool) -> None:
     """Refuse a base that differs in case or space from a keypoint; say that it is not tracked, where that is odd.
 
     In the body's own frame, where the project's own file is by contract, a base need not be tracked.
@@ -180,38 +178,16 @@ def _keep(
     if base in recording.keypoint_names:
         recording = recording.relative_to(base)
     if keypoints is not None and recording.keypoint_names:
-        order = _index("keypoint", keypoints, recording.keypoint_names)
-        confidence = recording.confidence
-        recording = replace(
-            recording,
-            keypoints=recording.keypoints[:, order],
-            keypoint_names=tuple(keypoints),
-            confidence=None if confidence is None else confidence[:, order],
-        )
+        _check_names("keypoint", keypoints, recording.keypoint_names)
+        recording = recording.with_keypoints(keypoints)
     if joints is not None and recording.joint_names:
-        order = _index("joint", joints, recording.joint_names)
-        recording = replace(
-            recording,
-            joint_names=tuple(joints),
-            angles=None if recording.angles is None else recording.angles[:, order],
-            torques=None if recording.torques is None else recording.torques[:, order],
-        )
+        _check_names("joint", joints, recording.joint_names)
+        recording = recording.with_joints(joints)
     return recording
 
 
-def _index(kind: str, names: Sequence[str], known: Sequence[str]) -> list[int]:
+def _check_names(kind: str, names: Sequence[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             hint = closest(name, [other for other in known if other not in names])
             raise InputError(f"{kind} {name!r} is missing: the file has {', '.join(known)}{hint}; rename one of them")
-    return [list(known).index(name) for name in names]
-
-
-def check_exists(path_or_name: str | Path) -> None:
-    """Raise FileNotFoundError for what is no file, and no name of `catalogue.names()`."""
-    path, known = Path(path_or_name), catalogue.names()
-    if path.exists() or str(path_or_name) in known:
-        return
-    near = difflib.get_close_matches(str(path), known, 1, cutoff=0.7)
-    hint = f", nor a recording of that name; did you mean {near[0]!r}?" if near else ""
-    raise FileNotFoundError(errno.ENOENT, f"no such file{hint}", str(path))

@@ -17,7 +17,7 @@ from .recording import Recording
 FLAT = "flat"
 """The plane of the two axes that are left when a constant one is taken out."""
 CONSTANT = 1e-6
-"""Of the largest spread, what a constant coordinate may vary by: the digits of a file, no camera's noise."""
+"""Of the largest range, what a constant coordinate may vary by: the digits of a file, no camera's noise."""
 PLANES = tuple("".join(axes) for axes in permutations("xyz", 2))
 Axes = Mapping[str, tuple[int, float]]
 """Of each axis of a file: which of a Recording's axes it is, and its sign there."""
@@ -44,11 +44,11 @@ def planar(recording: Recording, plane: str, axes: Axes = OURS) -> Recording:
     find exactly one coordinate to be constant.
     """
     if plane not in (FLAT, *PLANES):
-        raise InputError(f"--plane is two of the file's axes, one of {', '.join(PLANES)}, got {plane!r}")
+        raise InputError(f"plane is two of the file's axes, one of {', '.join(PLANES)}, got {plane!r}")
     if recording.keypoints.shape[-1] == 2 or not recording.keypoint_names:
         if plane == FLAT:
             return recording
-        raise InputError(f"--plane {plane} chooses two of three coordinates, this file has two: leave it out")
+        raise InputError(f"plane {plane} chooses two of three coordinates, this file has two: leave it out")
     points = np.stack([sign * recording.keypoints[..., place] for place, sign in axes.values()], axis=-1)
     columns = dict(zip(axes, np.moveaxis(points, -1, 0), strict=True))
     if plane == FLAT:
@@ -66,18 +66,18 @@ def in_space(recording: Recording) -> bool:
 
 def _constant(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, float], list[str]]:
     """Each axis's range, and the axes that are constant."""
-    spread = {axis: float(np.nanmax(values) - np.nanmin(values)) for axis, values in columns.items()}
-    return spread, [axis for axis, size in spread.items() if size <= CONSTANT * max(spread.values())]
+    ranges = {axis: float(np.nanmax(values) - np.nanmin(values)) for axis, values in columns.items()}
+    return ranges, [axis for axis, size in ranges.items() if size <= CONSTANT * max(ranges.values())]
 
 
 def _moving(columns: Mapping[str, np.ndarray]) -> str:
-    spread, constant = _constant(columns)
+    ranges, constant = _constant(columns)
     if len(constant) != 1:
-        widest = "".join(sorted(sorted(spread, key=spread.__getitem__)[1:]))
-        sizes = ", ".join(f"{axis} by {size:.3g}" for axis, size in spread.items())
+        widest = "".join(sorted(sorted(ranges, key=ranges.__getitem__)[1:]))
+        sizes = ", ".join(f"{axis} by {size:.3g}" for axis, size in ranges.items())
         raise InputError(
             f"keypoints have three coordinates ({sizes} from least to most), but the body moves in a plane: name the "
-            f"file's axes that point right and up, such as --plane {widest}"
+            f"file's axes that point right and up, such as --set plane={widest}"
         )
     (out,) = constant
     warnings.warn(f"coordinate {out} is {np.nanmedian(columns[out]):g} throughout: left out", stacklevel=2)

@@ -6,10 +6,20 @@ once more, and not multiplied.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from .logs.mapping import JointMap
 from .recording import Recording
 from .units import Units
+
+
+@dataclass(frozen=True)
+class TrackedFilm:
+    """A film, the file of its tracks, and the name of the keypoint at the first joint."""
+
+    path: Path
+    tracks: Path
+    base: str
 
 
 @dataclass(frozen=True)
@@ -24,6 +34,7 @@ class Reading:
         targets: whether some of its torques are servos' targets.
         maps: of a robot's own log, whose joints are counted as the robot's file does, where each one's numbers come
             from; none of a mapping without entries. None of another recording.
+        film: what its keypoints were tracked in, if they were.
     """
 
     recording: Recording
@@ -31,6 +42,7 @@ class Reading:
     again: Callable[..., Recording] | None = None
     targets: bool = False
     maps: tuple[JointMap, ...] | None = None
+    film: TrackedFilm | None = None
 
     def rescaled(self, **scales: float) -> "Reading":
         """The reading in other units; factors of `angle`, `target` and `time`."""

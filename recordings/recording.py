@@ -4,7 +4,7 @@ SI units and radians; what was not seen is NaN and stays NaN. Shapes: T frames, 
 space axes (x right, y up in 2-D; z up in 3-D), K joints.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,7 +43,7 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
     if (step < SHORTEST_STEP).any():
         first = int((step < SHORTEST_STEP).argmax()) + 1
         raise InputError(
-            f"time goes on by {step[first - 1]:.3g} s at {where(first)}, too little for a row of its own: "
+            f"time advances by {step[first - 1]:.3g} s at {where(first)}, too little for a row of its own: "
             "drop the row, or give times in seconds"
         )
 
@@ -158,6 +158,35 @@ class Recording:
     def relative_to(self, keypoint: str) -> "Recording":
         """Every keypoint less that one's track, frame by frame; where it is missing, all are."""
         return replace(self, keypoints=self.keypoints - self.keypoint(keypoint)[:, None])
+
+    def with_keypoints(self, names: Sequence[str]) -> "Recording":
+        """Those keypoints alone, in that order. Raises ValueError for a name that it does not have."""
+        order, confidence = [self.keypoint_names.index(name) for name in names], self.confidence
+        return replace(
+            self,
+            keypoints=self.keypoints[:, order],
+            keypoint_names=tuple(names),
+            confidence=None if confidence is None else confidence[:, order],
+        )
+
+    def with_joints(self, names: Sequence[str]) -> "Recording":
+        """Those joints alone, in that order. Raises ValueError for a name that it does not have."""
+        order = [self.joint_names.index(name) for name in names]
+        return replace(
+            self,
+            joint_names=tuple(names),
+            angles=None if self.angles is None else self.angles[:, order],
+            torques=None if self.torques is None else self.torques[:, order],
+        )
+
+    def moved(self, shift: Sequence[float]) -> "Recording":
+        """Every keypoint and that shift, (S,)."""
+        return replace(self, keypoints=self.keypoints + np.asarray(shift))
+
+    @property
+    def points(self) -> "Recording":
+        """The recording without pixels of cameras, which :class:`.cameras.Filmed` has in addition."""
+        return self
 
     def scaled(self, factor: float, unit: str) -> "Recording":
         """Keypoints times `factor`, now in `unit`. Raises InputError unless the factor is from 10⁻⁹ to 10⁹."""

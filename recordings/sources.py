@@ -8,8 +8,6 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import pooch
-
 from .errors import InputError, first_line
 
 VARIABLE = "INVDYN_DATA"
@@ -52,6 +50,8 @@ def fetch(source: Source) -> Path:
         return path
     if not source.repository:
         raise InputError(f"{source.file} is not published: set {VARIABLE} to a folder that holds it")
+    import pooch
+
     try:
         return Path(
             pooch.retrieve(
@@ -71,6 +71,8 @@ def fetch(source: Source) -> Path:
 
 def _download_rounded(url: str, output_file: str, retriever: object) -> None:
     """A downloader for pooch, which then checks the hash of what this leaves in `output_file`."""
+    import pooch
+
     pooch.HTTPDownloader(timeout=30)(url, output_file, retriever)
     path = Path(output_file)
     path.write_text(round_table(path.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")

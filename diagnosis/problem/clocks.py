@@ -58,13 +58,13 @@ def camera_clock(log: Recording, film: Recording, body: ArticulatedBody) -> Cloc
     if not np.isfinite(values).any() or values.min() > SHARED:
         raise InputError(
             f"{film.name}: nothing in it moves as the log says, whatever its clock: check its keypoints, or state "
-            "--clock"
+            "--set clock=SECONDS"
         )
     best = int(values.argmin())
     elsewhere = np.delete(values, np.arange(*_valley(values, best)))
     if elsewhere.size and elsewhere.min() < ALIKE * values[best]:
         raise InputError(
-            f"{film.name}: several offsets of its clock fit alike, as the motion repeats itself: state --clock"
+            f"{film.name}: several offsets of its clock fit as well, as the motion repeats: state --set clock=SECONDS"
         )
     around = grid[best] - step, grid[best] + step
     found = minimize_scalar(left, bounds=around, method="bounded", options={"xatol": 1e-3 * step})

@@ -1,4 +1,4 @@
-"""A recording that several cameras made: their pixels, which a model observes, beside the points triangulated of them.
+"""A recording that several cameras made: their pixels, which a model observes, and the points triangulated from them.
 
 The points are for figures, and where a fit begins; what is inferred comes from the pixels, so that a keypoint which one
 camera sees counts, and no triangulation's error is taken for noise.
@@ -92,7 +92,7 @@ def load_filmed(
         fps, format, individual: as `recordings.load`.
 
     Raises:
-        InputError: whatever is wrong with the files, no keypoint of the body among them, or one never seen.
+        InputError: what is wrong with the files, no keypoint of the body among them, or one never seen.
         OSError: a file that cannot be opened.
     """
     cameras = read_calibration(list(calibration), None)

@@ -117,9 +117,8 @@ def reconstruct(
     calibration = views.calibration
     if not (calibration.metric or lengths or baseline):
         raise InputError(
-            "the calibration does not state the unit of its lengths: pass its unit (--unit mm), or a length between "
-            "two "
-            "keypoints (--length FROM:TO=METRES) or two cameras (--baseline FROM:TO=METRES)"
+            "the calibration does not state the unit of its lengths: pass its unit (--set unit=mm), or a length "
+            "between two keypoints (--length FROM:TO=METRES) or two cameras (--set baseline=FROM:TO=METRES)"
         )
     if intrinsics and not refine:
         raise InputError("lenses are adjusted together with poses only: choose both")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..beside import TOGETHER
 from ..errors import InputError, about
+from ..merge_log_and_camera import TOGETHER
 from ..recording import Recording
 from .lerobot import read_lerobot
 from .mapping import BY_NAME, LogMap, Source
@@ -104,8 +104,8 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
     rows = rows[rows >= begin - TOGETHER]
     nothing = np.full(len(rows), np.nan)
 
-    def columns(found: list[Track | None], held: bool) -> np.ndarray:
-        made = [nothing if t is None else t.held(rows + TOGETHER) if held else _near(t, rows) for t in found]
+    def columns(found: list[Track | None], last: bool) -> np.ndarray:
+        made = [nothing if t is None else t.held(rows + TOGETHER) if last else _near(t, rows) for t in found]
         return np.stack(made, -1)
 
     recording = Recording(

@@ -90,8 +90,8 @@ class PersonTracker:
         if self.person is None:
             where = " and ".join(f"({u:.0f}, {v:.0f})" for u, v, *_ in squares)
             raise InputError(
-                f"{len(squares)} people are in view, about {where} px: choose one, --person left, right, largest or "
-                "a box u,v,width,height"
+                f"{len(squares)} people are in view, about {where} px: choose one, --set person=left, right, "
+                "largest or a box u,v,width,height"
             )
         column = {"left": squares[:, 0], "right": -squares[:, 0], "largest": -squares[:, 2]}[self.person]
         return squares[column.argmin()]
@@ -134,7 +134,7 @@ def person_tracker(
     Raises InputError for words that choose neither an arm nor a person, and as `load_networks`.
     """
     if arm not in ARM:
-        raise InputError(f"--arm is left or right, the person's own, got {arm!r}")
+        raise InputError(f"an arm is left or right, the person's own, got {arm!r}")
     chosen: str | tuple[float, float, float, float] | None = person
     if person is not None and person not in ("left", "right", "largest"):
         try:
@@ -142,7 +142,7 @@ def person_tracker(
         except ValueError:
             u = v = width = height = np.nan
         if not (np.isfinite([u, v]).all() and 0 < width < np.inf and 0 < height < np.inf):
-            raise InputError(f"--person is left, right, largest, or a box u,v,width,height in px, got {person!r}")
+            raise InputError(f"person is left, right, largest, or a box u,v,width,height in px, got {person!r}")
         chosen = (u, v, width, height)
     networks = load_networks(progress)
     return PersonTracker(networks["detector"], networks["landmarks"], arm, chosen)

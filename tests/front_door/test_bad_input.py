@@ -44,13 +44,14 @@ BAD = {
     "body is a recording": (("infer", "rec.csv", "--body", "rec.csv", "--out", "p.nc"), "TOML"),
     "no folder for the output": ((*INFER[:-1], "nowhere/p.nc"), "nowhere/p.nc"),
     "output is a folder": ((*INFER[:-1], "."), "folder"),
-    "figure nowhere": ((*INFER, "--figure", "nowhere/f.png"), "nowhere/f.png"),
-    "figure of unknown kind": ((*INFER, "--figure", "f.jpg"), ".png"),
-    "film of unknown kind": ((*INFER, "--film", "f.avi"), ".gif"),
-    "a posterior called as a picture": ((*INFER[:-1], "x.png"), "x.png: a posterior ends in .nc, got '.png'"),
-    "a table called as a posterior": ((*INFER, "--csv", "t.nc"), "t.nc: a table of torques ends in .csv, got '.nc'"),
-    "torques called as a motion": ((*INFER, "--sto", "t.mot"), "t.mot: a file of torques for OpenSim ends in .sto"),
-    "a motion called as torques": ((*INFER, "--mot", "t.sto"), "t.sto: a file of angles for OpenSim ends in .mot"),
+    "figure nowhere": ((*INFER, "--out", "nowhere/f.png"), "nowhere/f.png"),
+    "figure of unknown kind": ((*INFER, "--out", "f.jpg"), "f.jpg: an output ends in .nc or .png"),
+    "film of unknown kind": ((*INFER, "--out", "f.avi"), "or .gif"),
+    "no posterior among the outputs": (
+        (*INFER[:-1], "x.png"),
+        "expected one file for the posterior, such as posterior.nc",
+    ),
+    "two posteriors": ((*INFER, "--out", "t.nc"), "expected one file for the posterior, such as posterior.nc, got 2"),
     "a recording called as a posterior": (("simulate", "--body", "arm.toml", "--out", "s.nc"), "ends in .csv, got"),
     "a truth without an ending": (
         ("simulate", "--body", "arm.toml", "--out", "s.csv", "--truth", "truth"),
@@ -63,33 +64,40 @@ BAD = {
     ),
     "no mapping": (("check", "arm.toml", "rec.csv", "--map", "none.toml"), "error: --map none.toml: No such file"),
     "no recording beside": (
-        ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "d", "--also=rec2.csv,none.csv"),
-        "error: --also rec2.csv: no such file",
+        ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "d", "--with=rec2.csv,none.csv"),
+        "error: --with rec2.csv: no such file",
     ),
     "no labels": (
         ("train", "f.mp4", "--labels", "./none.csv", "--out", "n.safetensors"),
         "error: --labels none.csv: No such file",
     ),
-    "no recording behind a flag": ((*INFER[:1], *INFER[2:], "--passive", "none.csv"), "error: none.csv: no such file"),
+    "no recording behind a flag": (
+        (*INFER[:1], *INFER[2:], "--zero-torque", "none.csv"),
+        "error: none.csv: no such file",
+    ),
     "output over input": ((*INFER[:-1], "rec.csv"), "overwrite"),
-    "two outputs of one name": ((*INFER, "--csv", "p.nc"), "two outputs"),
+    "two outputs of one name": ((*INFER, "--out", "t.csv", "--out", "./t.csv"), "two outputs"),
     "unknown method": ((*INFER, "--method", "magic"), "smc"),
     "no particles": ((*INFER, "--particles", "0"), "--particles"),
     "particles in words": ((*INFER, "--particles", "many"), "--particles"),
     "unknown option": ((*INFER, "--magic"), "--magic"),
-    "missing option": (INFER[:-2], "--out"),
+    "missing option": ((*INFER[:2], *INFER[4:]), "--body"),
+    "no output": (INFER[:-2], "--out: expected one file for the posterior"),
     "unknown command": (("magic",), "magic"),
     "frames in words": ((*INFER, "--frames", "all"), "50:250"),
     "frames backwards": ((*INFER, "--frames", "100:50"), "--frames is START:STOP, the first row"),
     "no frames": ((*INFER, "--frames=-5:-5"), "got -5:-5: no rows"),
-    "a scale that is unknown": ((*INFER, "--units", "px", "--scale", "0.002", "--body-lengths"), "leave one of them"),
+    "a scale in words": ((*INFER, "--units", "px", "--scale", "small"), "expected metres a pixel, or body"),
+    "a setting in words": ((*INFER, "--set", "filters_per_task=many"), "expected a whole number from 1 on"),
+    "an unknown setting": ((*INFER, "--set", "magic=1"), "a name of episodes, format"),
+    "a setting without a value": ((*INFER, "--set", "plane"), "expected NAME=VALUE"),
     "a scale of metres": ((*INFER, "--units", "px", "--scale", "30"), "--scale 30 makes these keypoints larger"),
     "one frame": ((*INFER, "--frames", "3:4"), "2 frames"),
     "frames past the end": ((*INFER, "--frames", "50:"), "2 frames"),
     "unknown unit": ((*INFER, "--units", "inch"), "inch"),
     "frame rate given twice": ((*INFER, "--fps", "30"), "--fps"),
     "centimetres for metres": ((*INFER, "--units", "cm"), "--units"),
-    "unknown format": ((*INFER, "--format", "magic"), "magic"),
+    "unknown format": ((*INFER, "--set", "format=magic"), "magic"),
     "no truth": ((*INFER, "--truth", "none.csv"), "none.csv"),
     "truth of another body": ((*INFER, "--truth", "hand.csv"), "elbow"),
     "truth is a recording": ((*INFER, "--truth", "rec.csv"), "rec.csv"),
@@ -182,7 +190,7 @@ def test_interrupt_during_inference_writes_nothing(folder, monkeypatch, earlier,
     monkeypatch.setattr(invdyn.inference, "infer", infer)
     if earlier is not None:
         (folder / "p.nc").write_bytes(earlier)
-    refused((*INFER, "--figure", "f.png"), "interrupted", 130, "interrupted")
+    refused((*INFER, "--out", "f.png"), "interrupted", 130, "interrupted")
 
 
 def test_interrupt_during_writing_leaves_none_of_the_set(folder, quick_inference, monkeypatch, run, contents):
@@ -194,7 +202,7 @@ def test_interrupt_during_writing_leaves_none_of_the_set(folder, quick_inference
             raise KeyboardInterrupt
 
     monkeypatch.setattr(invdyn.outputs, "save_film", save_film)
-    outcome = run(*INFER, "--film", "f.gif", "--figure", "f.png")
+    outcome = run(*INFER, "--out", "f.gif", "--out", "f.png")
     assert outcome.exit_code == 130
     assert set(contents(folder)) == set(GIVEN)
 

@@ -88,7 +88,14 @@ RECORDINGS = {  # the recording, options, what is said
         (),
         "shoulder_yaw",
     ),
-    "lengths to be learned": (HEADER + ROWS, ("--learn-lengths",), "has no links of a length that could be learned"),
+    "lengths to be learned": (
+        HEADER + ROWS,
+        (
+            "--learn",
+            "lengths",
+        ),
+        "has no links of a length that could be learned",
+    ),
     "a unit": (HEADER + ROWS, ("--units", "mm"), "apart (median), but the body's link is"),
 }
 

@@ -168,8 +168,11 @@ BAD = {
     "no such bodies": (("--bodies", "cubes"), "--bodies: expected plane, or space with mujoco"),
     "bodies in space by pinocchio": (("--bodies", "space", "--engine", "pinocchio"), "got 'space' with pinocchio"),
     "nothing on standard input": (("--seed", "-"), "standard input: expected a seed"),
-    "a user and no method": (("--method-user", "nobody"), "--method-command"),
-    "no such user": (("--method-command", "true {out}", "--method-user", "no such"), "expected a user of this machine"),
+    "a user and no method": (("--set", "method_user=nobody"), "--method-command"),
+    "no such user": (
+        ("--method-command", "true {out}", "--set", "method_user=no such"),
+        "expected a user of this machine",
+    ),
 }
 
 

@@ -82,7 +82,9 @@ def test_triangulate_scales_what_is_not_metric(films, run):
 
 
 def test_triangulate_refines_and_turns(films, run):
-    outcome = run(*TRIANGULATE, "--refine", "--free", "focal", "--up", "y", "--noise", "1.5", "--offset", "cam2=0")
+    outcome = run(
+        *TRIANGULATE, "--refine", "--estimate", "focal", "--up", "y", "--set", "noise=1.5", "--offset", "cam2=0"
+    )
     assert outcome.exit_code == 0, outcome.output
     assert "scale of 1.50 px" in outcome.stdout
 
@@ -108,23 +110,23 @@ BAD = {
     "a camera twice": (("triangulate", "cam1.csv", "cam1=cam2.csv", *TRIANGULATE[4:]), "has two files"),
     "no calibration": ((*TRIANGULATE[:5], "none.toml", *TRIANGULATE[6:]), "none.toml"),
     "a calibration that is none": ((*TRIANGULATE[:5], "cam1.csv", *TRIANGULATE[6:]), "kind of calibration"),
-    "a unit that it says": ((*TRIANGULATE, "--unit", "mm"), "its own unit"),
+    "a unit that it says": ((*TRIANGULATE, "--set", "unit=mm"), "its own unit"),
     "no unit": ((*TRIANGULATE[:5], "unknown.toml", *TRIANGULATE[6:]), "--length"),
     "a length in words": ((*TRIANGULATE, "--length", "forearm=0.3"), "FROM:TO=METRES"),
     "a length of nothing": ((*TRIANGULATE, "--length", "elbow:hand=0.3"), "no keypoint 'hand'"),
     "two kinds of length": (
-        (*TRIANGULATE, "--length", "elbow:wrist=0.3", "--baseline", "cam1:cam2=1"),
+        (*TRIANGULATE, "--length", "elbow:wrist=0.3", "--set", "baseline=cam1:cam2=1"),
         "pass one kind, not both",
     ),
-    "a distance of no camera": ((*TRIANGULATE, "--baseline", "cam1:cam9=1"), "no camera 'cam9'"),
+    "a distance of no camera": ((*TRIANGULATE, "--set", "baseline=cam1:cam9=1"), "no camera 'cam9'"),
     "a link of no body": ((*TRIANGULATE, "--length", "shin=0.3", "--body", "paper_planar_arm"), "no link 'shin'"),
     "two kinds of offset": ((*TRIANGULATE, "--offset", "cam2=0", "--find-offsets", "0.1"), "choose one"),
     "an offset in words": ((*TRIANGULATE, "--offset", "cam2=late"), "CAMERA=SECONDS"),
     "an offset of no camera": ((*TRIANGULATE, "--offset", "cam9=1"), "cam9"),
     "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--offset", "cam2=99"), "films overlap"),
     "up in words": ((*TRIANGULATE, "--up", "north"), "up is one of"),
-    "a lens without poses": ((*TRIANGULATE, "--free", "focal"), "choose both"),
-    "an unknown part": ((*TRIANGULATE, "--refine", "--free", "iris"), "unknown part of a lens"),
+    "a lens without poses": ((*TRIANGULATE, "--estimate", "focal"), "choose both"),
+    "an unknown part": ((*TRIANGULATE, "--refine", "--estimate", "iris"), "unknown part of a lens"),
     "over the tracks": ((*TRIANGULATE[:-1], "cam1.csv"), "overwrite"),
     "nowhere": ((*TRIANGULATE[:-1], "nowhere/arm.csv"), "nowhere"),
     "frame rate given twice": ((*TRIANGULATE, "--fps", "30"), "--fps"),

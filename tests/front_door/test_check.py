@@ -53,7 +53,7 @@ def test_the_units_of_a_log_are_put_right_in_its_mapping(tmp_path):
     for command in (("check", tmp_path / "arm.toml", tmp_path / "log.csv", *mapped), diagnosing):
         refused = CliRunner().invoke(app, [*map(str, command), "--units", "ms"])
         assert refused.exit_code == 2
-        assert f"units stand in {tmp_path / 'map.toml'}, track by track: leave --units out" in refused.output
+        assert "units in its mapping: leave --units out" in refused.output
     refused = CliRunner().invoke(app, list(map(str, diagnosing)))
     assert refused.exit_code == 2
     assert 'the times are in milliseconds, it seems: write time_unit = "ms"' in refused.output
@@ -83,7 +83,7 @@ def test_numbers_of_frames_have_a_rate(files):
     assert right.exit_code == 0, right.output
     assert right.output == run(files / "arm.toml", files / "log.csv", "--no-effects").output
     mapped = run(files / "arm.toml", files / "log.csv", "--map", files / "map.toml", "--fps", 125)
-    assert "a robot's log carries its own times: leave --fps out" in mapped.output
+    assert "a robot's log carries its own times and names, and units in its mapping: leave --fps out" in mapped.output
 
 
 def test_a_known_recording_is_checked_and_its_units_left_out_if_given(data_folder):

@@ -28,6 +28,67 @@ def test_each_command_explains_itself(command, run):
     assert command in run("--help").stdout
 
 
+def test_a_help_fits_80_columns_uncut(run):
+    listed = run("--help").stdout.split("Commands:")[1]
+    assert "..." not in listed
+    for command in ("", *(line.split()[0] for line in listed.strip().splitlines())):
+        assert max(map(len, run(*command.split(), "--help").stdout.splitlines())) <= 80
+
+
+def test_options_stand_in_groups_and_settings_below(run):
+    titles = [line for line in run("infer", "--help").stdout.splitlines() if line.endswith(":") and line[0] != " "]
+    assert titles == [
+        "Arguments:",
+        "Recording:",
+        "Model:",
+        "Computation:",
+        "Settings, each as --set NAME=VALUE:",
+        "Options:",
+    ]
+
+
+def test_old_options_work_with_a_warning_each(folder, quick_inference, run, contents):
+    call = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc")
+    old = (
+        "--passive",
+        "--learn-lengths",
+        "--csv",
+        "t.csv",
+        "--figure=f.png",
+        "--device",
+        "cpu",
+        "--filters-per-task=2",
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        outcome = run(*call, *old)
+    assert outcome.exit_code == 0, outcome.output
+    assert [line.split(";")[0] for line in outcome.stderr.splitlines()] == [
+        "warning: --passive is now --zero-torque",
+        "warning: --learn-lengths is now --learn lengths",
+        "warning: --csv is now --out",
+        "warning: --figure is now --out",
+        "warning: --device is now --set device=…",
+        "warning: --filters-per-task is now --set filters-per-task=…",
+    ]
+    new = (
+        "--zero-torque",
+        "--learn",
+        "lengths",
+        "--out",
+        "u.csv",
+        "--set",
+        "device=cpu",
+        "--set",
+        "filters_per_task=2",
+    )
+    assert run(*call, *new).stderr == ""
+    before, after = ({**each, "recording": None, "body": None} for each in quick_inference)
+    assert before == after
+    assert (before["passive"], before["filters_per_task"]) == (True, 2)
+    assert {"t.csv", "f.png", "u.csv"} <= set(contents(folder))
+
+
 def test_version(run):
     outcome = run("--version")
     assert outcome.exit_code == 0
@@ -67,8 +128,8 @@ def test_simulate_writes_a_recording_and_its_truth(folder, run):
 
 def test_infer_writes_all_that_was_asked_for(folder, quick_inference, run, contents):
     wanted = ["p.nc", "f.png", "f.gif", "t.sto", "t.csv"]
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "f.png",
-                  "--film", "f.gif", "--sto", "t.sto", "--csv", "t.csv")  # fmt: skip
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--out", "f.png",
+                  "--out", "f.gif", "--out", "t.sto", "--out", "t.csv")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     assert set(contents(folder)) == {*GIVEN, *wanted}
     for name in wanted:
@@ -89,7 +150,7 @@ def test_infer_passes_on_what_was_said(folder, quick_inference, run):
                                  "elbow_velocity\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n")  # fmt: skip
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--truth", "truth.csv",
                   "--method", "bootstrap", "--filters", 3, "--particles", 7, "--draws", 2, "--seed", 5,
-                  "--frames", "2:10", "--learn-lengths", "--passive", "--hide-torque")  # fmt: skip
+                  "--frames", "2:10", "--learn", "lengths", "--zero-torque", "--hide-torque")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     (call,) = quick_inference
     assert call["recording"].time[0] == pytest.approx(0.06)
@@ -127,11 +188,11 @@ def test_film_without_scale_is_as_long_as_the_body(link, folder, quick_inference
     call = ("infer", "film.csv", "--body", "arm.toml", "--out", "p.nc", "--units", "px", "--fps", 30)
     refused = run(*call)
     assert refused.exit_code == 2
-    assert "--body-lengths" in refused.stderr
+    assert "--scale", "body" in refused.stderr
     Path("arm.toml").write_text(Path("arm.toml").read_text().replace("length = 1.0", f"length = {link}"))
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        outcome = run(*call, "--body-lengths")
+        outcome = run(*call, "--scale", "body")
     assert outcome.exit_code == 0
     said = "as long as the body's links together, 2 m" in outcome.stderr
     recording = quick_inference[0]["recording"]
@@ -141,8 +202,8 @@ def test_film_without_scale_is_as_long_as_the_body(link, folder, quick_inference
 
 
 def test_plot_draws_a_saved_posterior_again(folder, quick_inference, run):
-    run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "first.png")
-    outcome = run("plot", "p.nc", "--out", "again.png", "--film", "film.gif", "--sto", "t.sto")
+    run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--out", "first.png")
+    outcome = run("plot", "p.nc", "--out", "again.png", "--out", "film.gif", "--out", "t.sto")
     assert outcome.exit_code == 0, outcome.output
     assert Path("again.png").read_bytes() == Path("first.png").read_bytes()
     assert Path("film.gif").stat().st_size > 1000
@@ -166,7 +227,7 @@ def test_simulate_infer_plot_end_to_end(folder, run):
         "--particles",
         50,
     ]
-    outcome = run(*call, "--out", "p.nc", "--figure", "f.png", "--seed", 1)
+    outcome = run(*call, "--out", "p.nc", "--out", "f.png", "--seed", 1)
     assert outcome.exit_code == 0, outcome.output
     idata = invdyn.inference.load_posterior("p.nc")
     assert idata.posterior.torque.dims == ("chain", "draw", "time", "joint")
@@ -196,7 +257,7 @@ def test_three_rows_are_enough_and_their_bands_wide(folder, run):
     run("simulate", "--body", "arm.toml", "--duration", 1, "--out", "sim.csv")
     widths = []
     for rows in ("0:3", "0:30"):
-        call = ("infer", "sim.csv", "--body", "arm.toml", "--frames", rows, "--method", "laplace", "--csv", "c.csv")
+        call = ("infer", "sim.csv", "--body", "arm.toml", "--frames", rows, "--method", "laplace", "--out", "c.csv")
         assert run(*call, "--out", "p.nc").exit_code == 0
         table, _ = read_table("c.csv")
         widths.append(np.mean(table["shoulder_torque_q95"] - table["shoulder_torque_q05"]))
@@ -204,8 +265,8 @@ def test_three_rows_are_enough_and_their_bands_wide(folder, run):
 
 
 def test_a_known_recording_by_its_name(folder, run, with_human_arm):
-    call = ("infer", "human-arm", "--body", "human_arm_on_table", "--body-lengths", "--frames", "50:80")
-    outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--film", "f.gif")
+    call = ("infer", "human-arm", "--body", "human_arm_on_table", "--scale", "body", "--frames", "50:80")
+    outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--out", "f.gif")
     assert outcome.exit_code == 0, outcome.output
     idata = invdyn.inference.load_posterior("p.nc")
     assert idata.posterior.sizes["time"] == 30
@@ -230,10 +291,10 @@ def test_demo_leaves_everything_and_says_where(folder, run, contents):
 @pytest.mark.parametrize("method", ["laplace", "differentiate"])
 def test_a_method_without_filters_is_drawn_and_told_too(folder, run, method):
     run("simulate", "--body", "paper_planar_arm", "--duration", 1, "--out", "short.csv")
-    outputs = {"--out": "p.nc", "--figure": "p.png", "--sto": "p.sto", "--csv": "p.csv"}
-    options = [word for pair in outputs.items() for word in pair]
+    outputs = ("p.nc", "p.png", "p.sto", "p.csv")
+    options = [word for name in outputs for word in ("--out", name)]
     done = run("infer", "short.csv", "--body", "paper_planar_arm", "--method", method, *options)
     assert done.exit_code == 0, done.output
-    assert all(Path(name).stat().st_size > 0 for name in outputs.values())
+    assert all(Path(name).stat().st_size > 0 for name in outputs)
     assert "effective sample size" not in done.stdout
     assert "nan" not in done.stdout.lower()

@@ -79,12 +79,12 @@ def test_bad_input_is_one_line_and_writes_nothing(folder, run, contents, more, n
 def test_options_of_a_recording_are_those_of_infer(run):
     """One declaration serves both commands."""
     infer, compare = (run(command, "--help").stdout for command in ("infer", "compare"))
-    shared = {"--body", "--truth", "--units", "--frames", "--torque", "--noise", "--passive", "--filters", "--seed"}
+    shared = {"--body", "--truth", "--units", "--frames", "--torque", "--noise", "--zero-torque", "--filters", "--seed"}
     for option in shared:
         assert option in infer
         assert option in compare
     assert "--isolate" not in infer
-    assert "--film" not in compare
+    assert "--kinematic" not in compare
 
 
 # -- the figure --------------------------------------------------------------------------------------------

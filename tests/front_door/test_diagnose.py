@@ -107,7 +107,7 @@ def test_what_is_written_and_said(folder, run, calls):
 
 def test_options_arrive(commanded, folder, run, calls):
     (folder / "other.csv").write_text((folder / "run.csv").read_text())
-    outcome = run(*commanded, "--held-out", "other.csv", "--without", "payload, armature", "--frames", "1:11")
+    outcome = run(*commanded, "--held-out", "other.csv", "--exclude", "payload, armature", "--frames", "1:11")
     assert outcome.exit_code == 0, outcome.output
     (call,) = calls
     assert call["without"] == ("payload", "armature")
@@ -117,7 +117,18 @@ def test_options_arrive(commanded, folder, run, calls):
     assert call["most"] == 4
     assert (call["budget"], call["tolerance"]) == (None, 0.005)
     assert call["checkpoint"] is None
-    run(*commanded, "--passive", "--most", "6", "--budget", "600", "--tolerance", "0.02", "--checkpoint", "kept")
+    run(
+        *commanded,
+        "--zero-torque",
+        "--max-effects",
+        "6",
+        "--budget",
+        "600",
+        "--set",
+        "tolerance=0.02",
+        "--checkpoint",
+        "kept",
+    )
     assert calls[-1]["checkpoint"] == Path("kept")
     assert (calls[-1]["budget"], calls[-1]["tolerance"]) == (600.0, 0.02)
     assert calls[-1]["passive"] is True
@@ -144,20 +155,20 @@ def test_a_camera_beside_a_log(folder, run, calls):
     film = replace(both.at(seen), angles=None, torques=None, joint_names=())
     write_keypoint_csv(replace(film, time=film.time + 2.5), folder / "film.csv")
     write_keypoint_csv(replace(both, keypoints=both.keypoints[:, :0], keypoint_names=()), folder / "log.csv")
-    given = ("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--beside", "film.csv")
+    given = ("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--camera", "film.csv")
     outcome = run(*given)
     assert outcome.exit_code == 0, outcome.stderr
     said = re.search(r"clock      film is ahead of log by (\S+) ± (\S+) s", outcome.stdout)
     assert abs(float(said[1]) - 2.5) < 0.002
-    assert run(*given, "--clock", "2.5").exit_code == 0
+    assert run(*given, "--set", "clock=2.5").exit_code == 0
     for call in calls:
         recording = call["recording"]
         assert recording.keypoint_names == both.keypoint_names
         assert np.isfinite(recording.keypoints).all((1, 2)).sum() == seen.sum()
     assert calls[1]["recording"].num_frames == both.num_frames
-    refused = run("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--clock", "2.5")
+    refused = run("diagnose", "log.csv", "--body", "robot.toml", "--out", "found", "--set", "clock=2.5")
     assert refused.exit_code == 2
-    assert "name its keypoints with --beside" in refused.stderr
+    assert "name its keypoints with --camera" in refused.stderr
 
 
 def test_not_enough_data_is_an_answer(folder, run, calls):
@@ -188,13 +199,13 @@ def test_a_body_in_mjcf(folder, run, calls):
 def test_numbers_of_the_file_are_freed(folder, run, calls):
     text = (folder / "arm.toml").read_text().replace('tip = "wrist"', 'tip = "wrist"\ndamping = 0.1\narmature = 0.02')
     (folder / "arm.toml").write_text(text)
-    outcome = run(*DIAGNOSE, "--free", "damping,armature.elbow=0.5, mass=0.05")
+    outcome = run(*DIAGNOSE, "--estimate", "damping,armature.elbow=0.5, mass=0.05")
     assert outcome.exit_code == 0, outcome.output
     stated = {
         key: sd for key, sd in calls[0]["body"].uncertainty.items() if key in ("damping", "armature.elbow", "mass")
     }
     assert stated == {"damping": 0.3, "armature.elbow": 0.5, "mass": 0.05}
-    outcome = run(*DIAGNOSE, "--free", "armature.shoulder")
+    outcome = run(*DIAGNOSE, "--estimate", "armature.shoulder")
     assert outcome.exit_code == 2
     assert "no armature at shoulder that could be learned" in outcome.stderr
 
@@ -205,13 +216,13 @@ BAD = {
     "output is a file": ((*DIAGNOSE[:-1], "hand.csv"), "expected a folder"),
     "no held-out recording": ((*DIAGNOSE, "--held-out", "none.csv"), "none.csv"),
     "held out is of another body": ((*DIAGNOSE, "--held-out", "hand.csv"), "velocity"),
-    "unknown effect": ((*DIAGNOSE, "--without", "magic"), "viscous_friction"),
-    "free of an unknown kind": ((*DIAGNOSE, "--free", "dampng"), "did you mean 'damping'"),
-    "free without a number": ((*DIAGNOSE, "--free", "mass=much"), "mass=0.5, got 'much'"),
-    "free of nothing": ((*DIAGNOSE, "--free", "damping"), "has no damping at any joint"),
-    "zero and hidden": ((*DIAGNOSE, "--passive", "--hide-torque"), "choose one"),
+    "unknown effect": ((*DIAGNOSE, "--exclude", "magic"), "viscous_friction"),
+    "free of an unknown kind": ((*DIAGNOSE, "--estimate", "dampng"), "did you mean 'damping'"),
+    "free without a number": ((*DIAGNOSE, "--estimate", "mass=much"), "mass=0.5, got 'much'"),
+    "free of nothing": ((*DIAGNOSE, "--estimate", "damping"), "has no damping at any joint"),
+    "zero and hidden": ((*DIAGNOSE, "--zero-torque", "--hide-torque"), "choose one"),
     "held out is the recording": ((*DIAGNOSE, "--held-out", "./rec.csv"), "rec.csv: expected another recording"),
-    "a recording twice": ((*DIAGNOSE, "--also", "hand.csv,hand.csv"), "for --also, got one twice"),
+    "a recording twice": ((*DIAGNOSE, "--with", "hand.csv,hand.csv"), "for --with, got one twice"),
     "frames in words": ((*DIAGNOSE, "--frames", "all"), "50:250"),
     "one frame": ((*DIAGNOSE, "--frames", "3:4"), "2 frames"),
     "does not fit": ((*DIAGNOSE, "--frames", "3:5"), "does not fit"),

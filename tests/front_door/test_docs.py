@@ -35,7 +35,7 @@ def test_the_recording_and_the_body_shown_fit_one_another(tmp_path):
     (tmp_path / "rec.csv").write_text(table)
     (tmp_path / "arm.toml").write_text(body_file)
     body = load_body(str(tmp_path / "arm.toml"))
-    recording = load_recording(str(tmp_path / "rec.csv"), body, None, False, as_filmed=True)
+    recording = load_recording(str(tmp_path / "rec.csv"), body, as_filmed=True)
     assert recording.keypoint_names == body.keypoint_names
     assert recording.joint_names == body.joint_names
     assert np.isnan(recording.keypoints[1]).all()
@@ -47,7 +47,7 @@ def test_the_snippet_turns_a_log_into_a_recording(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("robot_log.csv").write_text("t,q1,q2,tau1,tau2\n0,0,0.1,1,2\n0.1,0.2,0.1,1,2\n")
     exec(compile(snippet, str(FILES), "exec"), {})
-    recording = load_recording("rec.csv", load_body(str(_body(tmp_path))), None, False, as_filmed=True)
+    recording = load_recording("rec.csv", load_body(str(_body(tmp_path))), as_filmed=True)
     np.testing.assert_allclose(recording.angles, [[-np.pi / 2, 0.1], [0.2 - np.pi / 2, 0.1]])
 
 

@@ -14,6 +14,7 @@ import typer.main
 from pages import FENCE, PAGES, ROOT, blocks
 
 from invdyn.cli import app
+from invdyn.renamed_options import RENAMED, SETTINGS
 
 GROUP = typer.main.get_command(app)
 COMMANDS = GROUP.commands
@@ -54,7 +55,8 @@ def is_there(line: str) -> bool:
     match words:
         case ["invdyn", name, *rest] if re.fullmatch(r"[a-z]+", name):
             known = {option for param in COMMANDS[name].params for option in (*param.opts, *param.secondary_opts)}
-            return options(rest) <= {*known, "--help"}
+            # A page of an earlier version has names of then.
+            return options(rest) <= {*known, "--help", *RENAMED, *(f"--{setting}" for setting in SETTINGS)}
         case ["invdyn", *rest]:
             return options(rest) <= {option for param in GROUP.params for option in param.opts}
         case ["make", target, *_]:

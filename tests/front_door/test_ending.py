@@ -14,7 +14,7 @@ from invdyn.cli import app
 if not hasattr(signal, "SIGKILL"):
     pytest.skip("needs POSIX signals", allow_module_level=True)
 
-INFER = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--figure", "f.png")
+INFER = ("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--out", "f.png")
 SIMULATE = ("simulate", "--body", "arm.toml", "--out", "s.csv", "--truth", "t.csv", "--duration", "0.5")
 ENDS = [pytest.param(signal.SIGTERM, 143, id="terminated"), pytest.param(signal.SIGHUP, 129, id="hung up")]
 
@@ -45,7 +45,7 @@ def test_terminated_while_it_writes_it_leaves_what_was_there(
         signal.raise_signal(number)
 
     monkeypatch.setattr(invdyn.outputs, "save_figure", save_figure)
-    outcome = run(*INFER, "--film", "f.gif")
+    outcome = run(*INFER, "--out", "f.gif")
     assert outcome.exit_code == code
     assert contents(folder) == before
 

@@ -77,7 +77,7 @@ CALL = ("--calibration", "calibration.toml", "--body", "rod.toml", "--out", "pos
 
 
 def test_infer(folder, run):
-    outcome = run("infer", *TRACKS, *CALL, "--method", "laplace", "--csv", "torques.csv", "--frames", "0:14")
+    outcome = run("infer", *TRACKS, *CALL, "--method", "laplace", "--out", "torques.csv", "--frames", "0:14")
     assert outcome.exit_code == 0, outcome.output
     idata = load_posterior(folder / "posterior.nc")
     seen = idata["observed_data"]["pixel"]
@@ -95,7 +95,7 @@ def test_infer(folder, run):
 
 def test_diagnose(folder, run, monkeypatch):
     """Of the points that are triangulated, with too few rows for a search."""
-    outcome = run("diagnose", *TRACKS, *CALL[:-1], "report", "--passive")
+    outcome = run("diagnose", *TRACKS, *CALL[:-1], "report", "--zero-torque")
     assert outcome.exit_code == 0, outcome.output
     assert "Not enough data" in outcome.stdout
     assert (folder / "report" / "report.html").exists()
@@ -125,18 +125,18 @@ BAD = {
         "m apart (median), but the body's link is 0.125 m long",
     ),
     "units of metres": (("infer", *TRACKS, *CALL, "--units", "mm"), "leave --units out"),
-    "lengths to learn": (("infer", *TRACKS, *CALL, "--learn-lengths"), "{start = 0.3}"),
+    "lengths to learn": (("infer", *TRACKS, *CALL, "--learn", "lengths"), "{start = 0.3}"),
     "a base": (("infer", *TRACKS, *CALL, "--base", "tip"), "leave --base out"),
     "an offset in words": (("infer", *TRACKS, *CALL, "--offset", "cam2=late"), "CAMERA=SECONDS"),
     "an offset of no camera": (("infer", *TRACKS, *CALL, "--offset", "cam9=1"), "cam9"),
-    "an unknown part of a camera": (("infer", *TRACKS, *CALL, "--learn-cameras", "lens"), "offset, pose, turn"),
+    "an unknown part of a camera": (("infer", *TRACKS, *CALL, "--learn", "lens"), "offset, pose, turn"),
     "cameras of no film": (
-        ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--learn-cameras", "pose"),
-        "--learn-cameras needs several cameras",
+        ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--learn", "pose"),
+        "--learn pose needs several cameras",
     ),
     "an offset of no film": (
         ("infer", "cam1.csv", "--body", "planar.toml", "--out", "p.nc", "--offset", "cam2=0"),
-        "--offset needs several cameras",
+        "leave --offset out, which is for tracks of several cameras",
     ),
     "too few rows": (("infer", *TRACKS, *CALL, "--frames", "3:4"), "at least 2 frames"),
     "over the tracks": (("infer", *TRACKS, *CALL[:-1], "cam1.csv"), "overwrite"),

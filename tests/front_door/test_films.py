@@ -15,7 +15,7 @@ from invdyn.recordings.tracking.heatmap import HeatmapTracker
 from invdyn.recordings.tracking.labels import Labels, write_labels
 
 TRAIN = ("train", "f.mov", "--labels", "l.csv", "--out", "n.safetensors", "--size", "40", "--steps", "90")
-TRACK = ("track", "f.mov", "--network", "n.safetensors", "--out", "t.csv")
+TRACK = ("track", "f.mov", "--tracker", "n.safetensors", "--out", "t.csv")
 
 
 @pytest.fixture(scope="module")
@@ -72,17 +72,17 @@ def words(call, **changes):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (words(TRACK, network=None), "f.mov: who is to be tracked?"),
-        ([*TRACK, "--arm", "left"], "f.mov: who is to be tracked?"),
-        ([*TRACK, "--person", "left"], "--person says whose --arm to track"),
-        ([*words(TRACK, network=None), "--arm", "both"], "--arm is left or right"),
-        ([*words(TRACK, network=None), "--arm", "left", "--person", "me"], "--person is left, right, largest"),
-        (words(TRACK, network="l.csv"), "l.csv: not a network of `invdyn train`"),
-        (words(TRACK, network="no.safetensors"), "--network no.safetensors: No such file"),
+        (words(TRACK, tracker=None), "f.mov: what is to be tracked?"),
+        ([*TRACK, "--arm", "left"], "--arm is --tracker now, which is given too"),
+        ([*TRACK, "--set", "person=left"], "person says whose arm --tracker left or right tracks"),
+        ([*words(TRACK, tracker=None), "--tracker", "both"], "--tracker both: No such file"),
+        ([*words(TRACK, tracker=None), "--tracker", "left", "--set", "person=me"], "person is left, right, largest"),
+        (words(TRACK, tracker="l.csv"), "l.csv: not a network of `invdyn train`"),
+        (words(TRACK, tracker="no.safetensors"), "--tracker no.safetensors: No such file"),
         (words(TRACK, out="f.mov"), "f.mov: this output would overwrite an input"),
         (words(TRACK, out="no/t.csv"), "--out no/t.csv: cannot write: the folder does not exist"),
         (["track", "l.csv", *TRACK[2:]], "l.csv: not a film that can be decoded"),
-        (["track", "no.mp4", *TRACK[2:]], "no.mp4: No such file"),
+        (["track", "no.mp4", *TRACK[2:]], "no.mp4: no such file"),
         (words(TRAIN, labels="no.csv"), "--labels no.csv: No such file"),
         (words(TRAIN, labels="f.mov"), "f.mov: a film has no keypoints yet: run `invdyn track`"),
         ([*TRAIN, "--labels", "l.csv"], "1 films and 2 files of labels"),
@@ -129,12 +129,12 @@ def test_the_checkpoint_of_another_run(folder, run):
     assert outcome.stderr.startswith("error: kept: the checkpoint of another run: seed 0 there, 3 here")
 
 
-INFER = ("infer", "f.mov", "--body", "arm.toml", "--network", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
+INFER = ("infer", "f.mov", "--body", "arm.toml", "--tracker", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
 
 
 def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
     (folder / "arm.toml").write_text(stick(0.01))
-    outcome = run(*INFER, "--method", "laplace", "--film", "arm.gif", "--filters", "2", "--particles", "8")
+    outcome = run(*INFER, "--method", "laplace", "--out", "arm.gif", "--filters", "2", "--particles", "8")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.splitlines()[-1] == "tracks     arm.tracks.csv"
     idata = load_posterior("arm.nc")
@@ -170,7 +170,7 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
     # The package has a function of that name, too.
     monkeypatch.setattr(import_module("invdyn.diagnosis.diagnose"), "diagnose", diagnose)
     call = words(["diagnose", *INFER[1:]], out="found")
-    outcome = run(*call, "--passive", "--frames", "10:60")
+    outcome = run(*call, "--zero-torque", "--frames", "10:60")
     assert outcome.stderr.endswith("error: seen enough\n"), outcome.output
     recording = given[0]["recording"]
     np.testing.assert_allclose(recording.time, shared[1][10:60], atol=1e-9)
@@ -181,8 +181,8 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
     assert (folder / "found.tracks.csv").exists()
     for option, message in (
         (["--held-out", "f.mov"], "f.mov: expected another recording of the same arm for --held-out"),
-        (["--tracks", "n.safetensors"], "n.safetensors: this output would overwrite an input"),
-        (["--arm", "left"], "f.mov: who is to be tracked?"),
+        (["--set", "tracks=n.safetensors"], "n.safetensors: this output would overwrite an input"),
+        (["--arm", "left"], "--arm is --tracker now, which is given too"),
         (["--calibration", "c.toml"], "--calibration is of several cameras"),
     ):
         outcome = run(*call, *option)
@@ -208,16 +208,19 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (words(INFER, network=None), "f.mov: who is to be tracked?"),
+        (words(INFER, tracker=None), "f.mov: what is to be tracked?"),
         (words(INFER, scale=None), "f.mov: a film has pixels, the body has metres: pass --scale"),
         ([*INFER, "--fps", "30"], "f.mov: a film has pixels and its own times: leave --fps out"),
         ([*INFER, "--units", "px"], "f.mov: a film has pixels and its own times: leave --units out"),
-        (["infer", "l.csv", *INFER[2:]], "l.csv: --network tracks a film, and this is none"),
+        (
+            ["infer", "l.csv", *INFER[2:]],
+            "l.csv: this is a table of one camera's keypoints: leave --tracker out, which is for a film",
+        ),
         (words(INFER, body="other.toml"), "the body's keypoint 'hand' is not tracked; tracked are elbow, wrist"),
-        (words(INFER, network="arm.toml"), "arm.toml: not a network of `invdyn train`"),
-        ([*INFER, "--tracks", "l.csv/t.csv"], "--tracks l.csv/t.csv: cannot write"),
-        ([*INFER, "--tracks", "n.safetensors"], "n.safetensors: this output would overwrite an input"),
-        ([*INFER, "--tracks", "arm.nc"], "arm.nc: two outputs have this name"),
+        (words(INFER, tracker="arm.toml"), "arm.toml: not a network of `invdyn train`"),
+        ([*INFER, "--set", "tracks=l.csv/t.csv"], "l.csv/t.csv: cannot write"),
+        ([*INFER, "--set", "tracks=n.safetensors"], "n.safetensors: this output would overwrite an input"),
+        ([*INFER, "--set", "tracks=arm.nc"], "arm.nc: two outputs have this name"),
     ],
 )
 def test_bad_films_are_one_line(folder, run, contents, call, message):

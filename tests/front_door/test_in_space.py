@@ -9,7 +9,7 @@ import xarray as xr
 
 from invdyn.film import arm_points, film_frames, skeleton, still_parts
 from invdyn.inference.plausible_for_body import rigid_distances
-from invdyn.inputs import load_body, load_recording, read_as_it_stands
+from invdyn.inputs import load_body, load_recording, read_table
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.plots import plot_comparison, plot_posterior
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
@@ -56,7 +56,7 @@ def filmed(robot, sites, frames=20, **more):
 
 def test_some_sites_are_enough_and_any_order_will_do(robot):
     write_keypoint_csv(filmed(robot, ["camera", "tool"]), "rec.csv")
-    recording = load_recording("rec.csv", robot, None, False, frames="2:12")
+    recording = load_recording("rec.csv", robot, frames="2:12")
     assert recording.keypoint_names == ("camera", "tool")
     assert recording.keypoints.shape == (10, 2, 3)
 
@@ -77,7 +77,7 @@ def test_a_trackers_markers_are_read_in_their_own_axes_and_unit(robot):
         file.write("\n".join([*header, *rows]) + "\n")
     no_base = pytest.warns(UserWarning, match="no base is tracked .* pass --base with the keypoint at the first joint")
     with no_base, pytest.warns(UserWarning, match="y is up in this file"):
-        read = load_recording("rec.trc", robot, None, False)
+        read = load_recording("rec.trc", robot)
     assert read.keypoint_names == ("tool",)
     np.testing.assert_allclose(read.keypoints, recording.keypoints, atol=1e-8)
 
@@ -111,7 +111,7 @@ def test_a_slide_stays_in_metres_where_angles_are_in_degrees(tmp_path, monkeypat
     table = "\n".join("\t".join(f"{value:.4f}" for value in row) for row in rows)
     (tmp_path / "cart.mot").write_text(f"Coordinates\ninDegrees=yes\nendheader\ntime\trail\tswing\n{table}\n")
     cart = load_body("cart.toml")
-    for read in (load_recording("cart.mot", cart, None, False), read_as_it_stands("cart.mot", cart).recording):
+    for read in (load_recording("cart.mot", cart), read_table(["cart.mot"], cart, as_it_stands=True)[0].recording):
         np.testing.assert_allclose(read.angles, np.array(rows)[:, 1:] * [1.0, np.pi / 180])
 
 
@@ -120,7 +120,7 @@ def test_a_tracked_base_moves_what_hangs_on_it(robot):
     recording = filmed(robot, ["tool"])
     points = np.concatenate([recording.keypoints, np.zeros_like(recording.keypoints)], axis=1) + shift
     write_keypoint_csv(Recording(recording.time, points, ("tool", "foot")), "rec.csv")
-    read = load_recording("rec.csv", robot, "foot", False)
+    read = load_recording("rec.csv", robot, base="foot")
     np.testing.assert_allclose(read.keypoints, recording.keypoints, atol=1e-12)
 
 
@@ -146,8 +146,8 @@ WRONG = {
     "strange": (lambda r: Recording(r.time, r.keypoints, ("tol", "camera")), {}, "closest: 'tool'"),
     "millimetres": (lambda r: r.scaled(1000.0, "m"), {}, "pass --units"),
     "half the size": (lambda r: r.scaled(0.2, "m"), {}, "tool and camera lie 0.0224 m apart"),
-    "a plane": (lambda r: r, {"plane": "xz"}, "moves in space: leave --plane out"),
-    "body lengths": (lambda r: r, {"body_lengths": True}, "--body-lengths is for a chain in the plane"),
+    "a plane": (lambda r: r, {"plane": "xz"}, "moves in space: leave plane out"),
+    "body lengths": (lambda r: r, {"scale": "body"}, "--scale body is for a chain in the plane"),
     "seconds": (lambda r: Recording(1000 * r.time, r.keypoints, r.keypoint_names), {}, "--units ms"),
     "degrees": (
         lambda r: Recording(
@@ -162,7 +162,6 @@ WRONG = {
 @pytest.mark.parametrize(("change", "options", "message"), WRONG.values(), ids=WRONG)
 def test_what_cannot_be_this_body_is_refused(robot, change, options, message):
     write_keypoint_csv(change(filmed(robot, ["tool", "camera"])), "rec.csv")
-    options = {"base": None, "body_lengths": False} | options
     with pytest.raises(InputError, match=message) as refusal:
         load_recording("rec.csv", robot, **options)
     assert str(refusal.value).count("\n") == 0
@@ -172,7 +171,7 @@ def test_a_body_without_points_is_refused(robot):
     write_keypoint_csv(filmed(robot, ["tool"]), "rec.csv")
     bare = Tree("bare", [SpatialLink("rod", Joint("j"), mass=1.0, inertia=(1, 1, 1, 0, 0, 0))])
     with pytest.raises(InputError, match="names no point: give its last link a tip, or a site"):
-        load_recording("rec.csv", bare, None, False)
+        load_recording("rec.csv", bare)
 
 
 def test_a_body_rests_where_it_hangs(robot):
@@ -190,7 +189,7 @@ def test_what_gravity_does_not_move_rests_anywhere(robot):
 def test_simulated_encoders_and_points(robot, run):
     outcome = run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--duration", "1", "--encoders", "0.001")
     assert outcome.exit_code == 0, outcome.output
-    recording = load_recording("rec.csv", robot, None, False)
+    recording = load_recording("rec.csv", robot)
     assert recording.keypoint_names == robot.keypoint_names
     seen = dynamics_for(robot).keypoints(torch.tensor(recording.angles), robot.parameters()).numpy()
     assert np.std(seen - recording.keypoints) == pytest.approx(0.005, rel=0.15)  # the points' noise, 270 numbers
@@ -200,8 +199,8 @@ def test_from_a_recording_to_torques(robot, run):
     """Encoders and one point: every output is there, and the bands hold the truth where they should."""
     run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--truth", "truth.csv", "--duration", "0.6",
         "--fps", "50", "--encoders", "0.0005")  # fmt: skip
-    outcome = run("infer", "rec.csv", "--body", "robot.toml", "--truth", "truth.csv", "--out", "p.nc", "--figure",
-                  "f.png", "--sto", "f.sto", "--filters", "2", "--particles", "20")  # fmt: skip
+    outcome = run("infer", "rec.csv", "--body", "robot.toml", "--truth", "truth.csv", "--out", "p.nc", "--out",
+                  "f.png", "--out", "f.sto", "--filters", "2", "--particles", "20")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     row = next(line for line in outcome.stdout.splitlines() if line.startswith("lift")).split()
     assert float(row[-1]) > 0.5  # 90 % covers

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
-from invdyn.inputs import load_recording
+from invdyn.inputs import load_recording, read_logs
 from invdyn.models import Body, Link
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
 
@@ -26,7 +27,7 @@ def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
     file = tmp_path / "rec.csv"
     write_keypoint_csv(Recording(TIME, points, names), file)
     body = replace(Body("arm", [ROD]), base=base)
-    recording = load_recording(str(file), body, None, False)
+    recording = load_recording(str(file), body)
     assert recording.keypoint_names == ("tip",)
     np.testing.assert_allclose(recording.keypoints[:, 0], TIP + np.array(base), atol=1e-6)
 
@@ -38,5 +39,21 @@ def test_a_tracked_base_in_three_dimensions_is_one_line(tmp_path):
     file = tmp_path / "rec.csv"
     write_keypoint_csv(Recording(TIME, points, ("pivot", "tip")), file)
     body = replace(Body("arm", [ROD]), base=(0.4, -0.2))
-    with pytest.raises(InputError, match=r"rec\.csv: .* three coordinates .* --plane xy"):
-        load_recording(str(file), body, "pivot", False)
+    with pytest.raises(InputError, match=r"rec\.csv: .* three coordinates .* plane=xy"):
+        load_recording(str(file), body, base="pivot")
+
+
+def test_every_command_reads_a_robots_log(folder, quick_inference, run):
+    """The same recording as a diagnosis has: angles and commands as the robot's file counts them."""
+    SERVO_ARM.to_toml(folder / "robot.toml")
+    write_servo_log(folder / "log.csv")
+    write_mapping(folder / "map.toml")
+    call = ("log.csv", "--map", "map.toml", "--body", "robot.toml", "--out")
+    outcome = run("infer", *call, "p.nc")
+    assert outcome.exit_code == 0, outcome.output
+    (log,) = read_logs("log.csv", SERVO_ARM, "map.toml")
+    recording = quick_inference[0]["recording"]
+    np.testing.assert_array_equal(recording.angles, log.recording.angles)
+    np.testing.assert_array_equal(recording.torques, log.recording.torques)
+    refused = run("infer", *call, "p.nc", "--set", "episodes=0,0")
+    assert "expected one recording, got 2 episodes" in refused.stderr

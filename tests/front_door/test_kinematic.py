@@ -26,8 +26,8 @@ def swinging(folder):
 
 
 def test_it_writes_all_that_was_asked_for(swinging, run, contents):
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", "--learn-lengths",
-                  "--method", "laplace", "--figure", "f.png", "--csv", "t.csv", *SMALL)  # fmt: skip
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", "--learn", "lengths",
+                  "--method", "laplace", "--out", "f.png", "--out", "t.csv", *SMALL)  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     assert "Joint angles (rad) over 24 frames" in outcome.stdout
     lengths = [
@@ -48,8 +48,8 @@ def test_it_writes_all_that_was_asked_for(swinging, run, contents):
     ("options", "said"),
     [
         (("--method", "nuts"), "expected a method among smc, laplace, got 'nuts'"),
-        (("--sto", "t.sto"), "--sto: has no part in --kinematic"),
-        (("--passive",), "--passive: has no part in --kinematic"),
+        (("--out", "t.sto"), "t.sto: a kinematic posterior has no torques"),
+        (("--zero-torque",), "--zero-torque: has no part in --kinematic"),
         (("--torque", "matern32"), "--torque: has no part in --kinematic"),
     ],
 )
@@ -68,7 +68,7 @@ def test_a_kinematic_posterior_has_no_torques_to_export(swinging, run):
         ).exit_code
         == 0
     )
-    outcome = run("plot", "p.nc", "--sto", "t.sto")
+    outcome = run("plot", "p.nc", "--out", "t.sto")
     assert outcome.exit_code == 2
     assert "no torques" in outcome.stderr
     assert not Path("t.sto").exists()

@@ -35,13 +35,13 @@ def write(kind, points):
                 for row, place in zip(rows, own[:, p], strict=True):
                     row += [repr(float(v)) for v in (*(place * [200, -200]), 0.9)]
         Path("rec.csv").write_text("\n".join(",".join(cells) for cells in header + rows) + "\n")
-        return "rec.csv", {"units": "px", "fps": RATE, "scale": 0.005, "individual": "ada"}
+        return "rec.csv", {"units": "px", "fps": RATE, "scale": "0.005", "individual": "ada"}
     if kind == "sleap":
         lines = ["track,frame_idx,instance.score," + ",".join(f"{n}.x,{n}.y,{n}.score" for n in NAMES)]
         for t, row in enumerate(points):
             lines.append(f"t0,{t},.9," + ",".join(f"{float(x * 200)!r},{float(-y * 200)!r},.8" for x, y in row))
         Path("rec.csv").write_text("\n".join(lines) + "\n")
-        return "rec.csv", {"units": "px", "fps": RATE, "scale": 0.005}
+        return "rec.csv", {"units": "px", "fps": RATE, "scale": "0.005"}
     if kind == "anipose":
         others = ["fnum", *(f"center_{i}" for i in range(3)), *(f"M_{i}{j}" for i in range(3) for j in range(3))]
         lines = [",".join([f"{n}_{end}" for n in NAMES for end in ("x", "y", "z", "error", "ncams", "score")] + others)]
@@ -66,7 +66,7 @@ def test_a_trackers_file_becomes_the_arms_tips(folder, kind, group):
     file, options = write(kind, places((2.0, 1.5)))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        recording = group(recordings=[file], body="arm.toml", **options).load()["recording"]
+        recording = group(recordings=[file], body="arm.toml", **options).load()[0]["recording"]
     told = [str(each.message) for each in caught if each.category is UserWarning]
     assert told == (["coordinate z is 0 throughout: left out"] if kind == "trc" else [])
     assert recording.keypoint_names == NAMES[1:]
@@ -77,8 +77,8 @@ def test_a_trackers_file_becomes_the_arms_tips(folder, kind, group):
 def test_options_that_a_file_has_no_use_for_are_said(folder, run):
     file, _ = write("trc", places((0, 0)))
     for option, words in (
-        (("--individual", "ada"), "holds one body: leave --individual out"),
-        (("--plane", "xw"), "--plane is two of the file's axes"),
+        (("--set", "individual=ada"), "holds one body: leave individual out"),
+        (("--set", "plane=xw"), "plane is two of the file's axes"),
     ):
         outcome = run("infer", file, "--body", "arm.toml", "--out", "p.nc", *option)
         assert outcome.exit_code == 2

@@ -17,7 +17,7 @@ if not hasattr(signal, "SIGKILL"):
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
 
-INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--filters-per-task", 2)
+INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--set", "filters_per_task=2")
 PROGRAM = (sys.executable, "-W", "ignore", "-m", "invdyn")
 DIES = (
     *PROGRAM[:3],
@@ -86,7 +86,7 @@ def test_mpi_gives_the_same(simulated, run):
     root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}  # of OpenMPI, in a container
     command = [mpirun, "--oversubscribe", "-n", 3, sys.executable, "-W", "ignore", "-m", "mpi4py.futures"]
     done = subprocess.run(
-        words(*command, "-m", "invdyn", *INFER, "--out", "mpi.nc", "--scheduler", "mpi"),
+        words(*command, "-m", "invdyn", *INFER, "--out", "mpi.nc", "--workers", "mpi"),
         env={**os.environ, **root},
         capture_output=True,
         text=True,
@@ -116,7 +116,7 @@ def test_killed_and_resumed_is_the_same(simulated, run, started):
 
 
 COMPARE = ("compare", *INFER[1:], "--methods", "smc,laplace", "--filters", 6)
-DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--held-out", "rec2.csv", "--without")
+DIAGNOSE = ("diagnose", "rec.csv", "--body", "arm.toml", "--held-out", "rec2.csv", "--exclude")
 KILLED = (
     *PROGRAM[:3],
     "-c",
@@ -198,7 +198,7 @@ def test_no_worker_is_left_behind(simulated, started, stop):
 def test_a_scheduler_that_does_not_answer_is_one_line(folder, run, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("invdyn.inference.execution.executors.PATIENCE", 0.3)
-    outcome = run(*INFER, "--out", "p.nc", "--scheduler", "tcp://127.0.0.1:9")
+    outcome = run(*INFER, "--out", "p.nc", "--workers", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 2
     (line,) = outcome.stderr.splitlines()
     assert line.startswith("error: tcp://127.0.0.1:9: no Dask scheduler answers there")

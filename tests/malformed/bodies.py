@@ -86,8 +86,8 @@ def named(role: str, name: str) -> Iterator[Case]:
     what = f"{role} called {name[:20]!r}"
     yield Case("name in a body", SIMULATE, content, what=what)
     if "$" in name or name == "é":
-        outputs = ("--figure", "f.svg", "--sto", "f.sto", "--csv", "f.csv")
-        outputs += ("--film", "f.gif") if name == "$\\frac" else ()
+        outputs = ("--out", "f.svg", "--out", "f.sto", "--out", "f.csv")
+        outputs += ("--out", "f.gif") if name == "$\\frac" else ()
         yield Case("name in a body", (*INFER, *outputs), content, what=what)
         yield Case("name in a body", COMPARE, content, what=what)
         yield Case("name in a body", DIAGNOSE, content, what=what)

@@ -26,13 +26,13 @@ RANGES = ("", ":", "::", "a:b", "5:2", "-3:", f"{HUGE}:", f":{10**30}", "1e3:", 
 def cases() -> Iterator[Case]:
     """Real numbers, counts and seeds, texts."""
     given = [(SIMULATE, option) for option in ("--duration", "--fps", "--noise", "--torque-scale")]
-    given += [((*TRACKED, "--body-lengths"), "--fps"), (TRACKED, "--scale"), (COMPARE, "--held-out")]
+    given += [((*TRACKED, "--scale", "body"), "--fps"), (TRACKED, "--scale"), (COMPARE, "--held-out")]
     for call, option in given:
         for value in REALS:
             yield Case("number in an option", with_option(call, option, value), what=f"{option} {value}")
-    sizes = ("--filters", "--particles", "--draws", "--seed", "--workers", "--filters-per-task")
+    sizes = ("--filters", "--particles", "--draws", "--seed", "--workers")
     counted = [(INFER, option) for option in sizes]
-    counted += [(DIAGNOSE, option) for option in ("--most", "--seed", "--workers")]
+    counted += [(DIAGNOSE, option) for option in ("--max-effects", "--seed", "--workers")]
     counted += [(SIMULATE, "--seed"), (COMPARE, "--particles"), (COMPARE, "--seed")]
     for call, option in counted:
         for value in COUNTS:
@@ -55,10 +55,10 @@ def cases() -> Iterator[Case]:
         yield Case("count in an option", with_option(BLIND, "--workers", value), what=f"--workers {value}")
         yield Case("count in an option", (*BLIND, "--kinds", f"none={value}"), what=f"--kinds none={value}")
     for value in TEXTS:
-        for option in ("--method", "--torque", "--noise", "--units", "--format", "--base", "--device", "--scheduler"):
+        for option in ("--method", "--torque", "--noise", "--units", "--base", "--workers"):
             yield Case("text in an option", with_option(INFER, option, value), what=f"{option} {value}")
         yield Case("text in an option", with_option(COMPARE, "--methods", value), what=f"--methods {value}")
-        yield Case("text in an option", with_option(DIAGNOSE, "--without", value), what=f"--without {value}")
+        yield Case("text in an option", with_option(DIAGNOSE, "--exclude", value), what=f"--exclude {value}")
         for option in ("--kinds", "--method-command"):
             if value.strip():
                 yield Case("text in an option", with_option(BLIND, option, value), what=f"{option} {value}")

@@ -69,11 +69,11 @@ def cases() -> Iterator[Case]:
     for column in TRUTH:
         for value in (*NUMBERS[:6], *WORDS[:4]):
             cell = {"truth.csv": table(TRUTH, **{column: value})}
-            call = (*INFER, "--truth", "truth.csv", "--csv", "out.csv")
+            call = (*INFER, "--truth", "truth.csv", "--out", "out.csv")
             yield Case("number in a truth", call, cell, what=f"{column} {value}")
     for value in (*NUMBERS, *WORDS):
         content = {"dlc.csv": deeplabcut(value)}
-        yield Case("number in a track", (*TRACKED, "--body-lengths"), content, what=value)
+        yield Case("number in a track", (*TRACKED, "--scale", "body"), content, what=value)
     for what, content in FORMS.items():
         for call in (INFER, COMPARE, DIAGNOSE):
             yield Case("form of a table", call, {"rec.csv": content}, what=what)

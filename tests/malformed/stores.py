@@ -9,8 +9,8 @@ import numpy as np
 
 from .case import BLIND, DRAW, HUGE, KEPT, PLOT, Case
 
-FILM = ("plot", "posterior.nc", "--film", "out.gif")
-STO = ("plot", "posterior.nc", "--sto", "out.sto")
+FILM = ("plot", "posterior.nc", "--out", "out.gif")
+STO = ("plot", "posterior.nc", "--out", "out.sto")
 GARBAGE = {
     "empty": b"",
     "zeros": bytes(1000),

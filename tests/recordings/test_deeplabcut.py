@@ -83,7 +83,7 @@ def test_an_animals_own_point_wins_over_a_unique_one_of_its_name(tmp_path):
     frame.to_csv(tmp_path / "rec.csv")
     recording = load(tmp_path / "rec.csv", units="px", fps=30, individual="bob")
     np.testing.assert_allclose(recording.keypoint("wrist")[:, 0], frame["net", "bob", "wrist", "x"])
-    with pytest.raises(InputError, match=r"several animals: choose one of ada, bob \(--individual\)"):
+    with pytest.raises(InputError, match=r"several animals: choose one of ada, bob \(--set individual=NAME\)"):
         load(tmp_path / "rec.csv", units="px", fps=30)
 
 

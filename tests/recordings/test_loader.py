@@ -31,7 +31,7 @@ def test_formats_are_recognised(tmp_path):
 
 def test_formats_that_are_not(tmp_path):
     (tmp_path / "rec.xlsx").write_text("")
-    with pytest.raises(InputError, match=r"cannot tell the format from the suffix '.xlsx'.*--format"):
+    with pytest.raises(InputError, match=r"cannot tell the format from the suffix '.xlsx'.*--set format"):
         load(tmp_path / "rec.xlsx")
     with pytest.raises(InputError, match=r"unknown format 'deeplabcat'.*closest: deeplabcut"):
         load(tmp_path / "rec.xlsx", format="deeplabcat")

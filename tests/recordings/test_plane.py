@@ -29,7 +29,7 @@ def test_a_constant_axis_is_left_out_and_said(axis):
 
 
 def test_what_cannot_be_chosen_is_said():
-    with pytest.raises(InputError, match=r"three coordinates .* --plane"):
+    with pytest.raises(InputError, match=r"three coordinates .* --set plane"):
         planar(solid(), "flat")
     for plane in ("xx", "ab", "xyz"):
         with pytest.raises(InputError, match="one of xy, xz"):

@@ -127,7 +127,7 @@ def test_the_command_asks_first(tmp_path, log):
     assert "the angles are exchanged" in refused.output
 
 
-@pytest.mark.parametrize("option", [("--fps", "100"), ("--scale", ".01"), ("--base", "hip"), ("--body-lengths",)])
+@pytest.mark.parametrize("option", [("--fps", "100"), ("--scale", ".01"), ("--base", "hip"), ("--scale", "body")])
 def test_a_log_takes_no_option_of_keypoints(option, tmp_path):
     SERVO_ARM.to_toml(tmp_path / "arm.toml")
     write_servo_log(tmp_path / "log.csv")

@@ -11,7 +11,7 @@ from robot_log import ARM, robot_log
 from invdyn.diagnosis.problem.clocks import camera_clock
 from invdyn.models import load_body
 from invdyn.recordings import InputError
-from invdyn.recordings.beside import beside
+from invdyn.recordings.merge_log_and_camera import merge_log_and_camera
 
 
 def apart(both, ahead, begin, end):
@@ -61,28 +61,28 @@ def test_what_does_not_tell_is_refused():
     turned = swing.cumsum(1)
     tips = (np.array([0.3, 0.25])[:, None] * np.stack([np.cos(turned), np.sin(turned)], -1)).cumsum(1)
     part = (time >= 4) & (time < 12)
-    with pytest.raises(InputError, match="the motion repeats itself: state --clock"):
+    with pytest.raises(InputError, match="the motion repeats: state --set clock"):
         camera_clock(again, replace(film, time=time[part], keypoints=tips[part]), ARM)
 
 
-def test_beside_each_other():
+def test_merged():
     both = robot_log(5)
     log, film = apart(both, 7.0, 1, 4)
-    one = beside(log, film, 7.0)
+    one = merge_log_and_camera(log, film, 7.0)
     assert one.num_frames == log.num_frames  # each picture comes with a row
     part = (both.time >= 1) & (both.time < 4)
     np.testing.assert_array_equal(one.keypoints[part], both.keypoints[part])
     np.testing.assert_array_equal(one.angles, log.angles)
     np.testing.assert_array_equal(one.torques, log.torques)
-    between = beside(log, film, 7.0 + 0.0007)
+    between = merge_log_and_camera(log, film, 7.0 + 0.0007)
     assert between.num_frames == log.num_frames + film.num_frames
     new = np.isnan(between.angles).all(1)
     np.testing.assert_array_equal(between.keypoints[new], film.keypoints)
     held = np.searchsorted(log.time, between.time[new], side="right") - 1
     np.testing.assert_array_equal(between.torques[new], log.torques[held])
     with pytest.raises(InputError, match="they share no time"):
-        beside(log, film, -20.0)
+        merge_log_and_camera(log, film, -20.0)
     with pytest.raises(InputError, match="without keypoints of its own"):
-        beside(both, film)
-    with pytest.raises(InputError, match="expected keypoints to go beside a log"):
-        beside(log, log)
+        merge_log_and_camera(both, film)
+    with pytest.raises(InputError, match="expected keypoints to merge with a log"):
+        merge_log_and_camera(log, log)

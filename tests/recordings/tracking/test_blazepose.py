@@ -47,7 +47,7 @@ def test_a_person_is_followed_without_the_detector():
 
 def test_the_chosen_person_is_tracked():
     both = painted([SMALL, LARGE])
-    with pytest.raises(InputError, match=r"2 people are in view, about \((90|300), .*choose one, --person left"):
+    with pytest.raises(InputError, match=r"2 people are in view, about \((90|300), .*choose one, --set person=left"):
         tracker().track(both)
     chosen = {"left": SMALL, "right": LARGE, "largest": LARGE, (60.0, 90.0, 60.0, 90.0): SMALL}
     for word, expected in chosen.items():
@@ -88,11 +88,11 @@ def test_a_landmark_moves_to_the_mean_of_its_map():
 
 
 def test_words_that_choose_no_person(monkeypatch):
-    for word, message in (("both", "--arm is left or right"),):
+    for word, message in (("both", "an arm is left or right"),):
         with pytest.raises(InputError, match=message):
             person_tracker(word, None)
     for word in ("me", "1,2", "1,2,0,4", "nan,1,2,3", "1,2,3,inf"):
-        with pytest.raises(InputError, match="--person is left, right, largest, or a box"):
+        with pytest.raises(InputError, match="person is left, right, largest, or a box"):
             person_tracker("left", word)
 
 

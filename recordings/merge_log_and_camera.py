@@ -1,4 +1,4 @@
-"""A camera's keypoints beside a robot's log: one recording of the rows of both, on the log's clock."""
+"""A robot's log and a camera's keypoints as one recording, with the rows of both, on the log's clock."""
 
 from dataclasses import replace
 
@@ -11,17 +11,17 @@ TOGETHER = 1e-6
 """s between rows that are one."""
 
 
-def beside(log: Recording, film: Recording, ahead: float = 0.0) -> Recording:
+def merge_log_and_camera(log: Recording, film: Recording, ahead: float = 0.0) -> Recording:
     """The log's angles and torques (T, K) with the film's keypoints, in all rows of either while the log runs.
 
-    ``ahead`` is by how much the film's clock runs ahead of the log's, s. What a row has not is NaN; commands are held.
+    ``ahead`` is by how much the film's clock runs ahead of the log's, s. What a row lacks is NaN; a command lasts.
     Raises InputError for a log that has keypoints or no angles, a film without keypoints, and where they have no time
     together.
     """
     if log.angles is None or log.keypoint_names:
-        raise InputError(f"{log.name}: expected a log of angles, without keypoints of its own, beside a film")
+        raise InputError(f"{log.name}: expected a log of angles, without keypoints of its own, to merge with a film")
     if not film.keypoint_names:
-        raise InputError(f"{film.name}: expected keypoints to go beside a log, it has none")
+        raise InputError(f"{film.name}: expected keypoints to merge with a log, it has none")
     own = film.time - ahead
     within = (own >= log.time[0] - TOGETHER) & (own <= log.time[-1] + TOGETHER)
     if within.sum() < 2:
@@ -43,7 +43,7 @@ def beside(log: Recording, film: Recording, ahead: float = 0.0) -> Recording:
     if film.confidence is not None:
         confidence = np.full((len(time), film.confidence.shape[1]), np.nan)
         confidence[filmed] = film.confidence
-    held = np.searchsorted(log.time, time, side="right") - 1
+    current = np.searchsorted(log.time, time, side="right") - 1
     return replace(
         log,
         time=time,
@@ -51,6 +51,6 @@ def beside(log: Recording, film: Recording, ahead: float = 0.0) -> Recording:
         keypoint_names=film.keypoint_names,
         confidence=confidence,
         angles=angles,
-        torques=None if log.torques is None else log.torques[held],
+        torques=None if log.torques is None else log.torques[current],
         length_unit=film.length_unit,
     )

@@ -1,0 +1,93 @@
+"""A robot's own log, an episode each, as recordings of a body: angles and commands as its file counts them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invdyn.inference.plausible_for_body import slides
+from invdyn.models import Body, Tree
+from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.recordings import InputError, Recording, check_readable
+from invdyn.recordings.errors import about
+from invdyn.recordings.logs import LogMap, recordings_of
+from invdyn.recordings.logs.mapping import JointMap
+from invdyn.recordings.logs.read import Logged
+from invdyn.recordings.reading import Reading
+
+from .input_names import frame_range
+
+
+def read_logs(
+    name: str,
+    body: Body | Tree,
+    mapping: str | None = None,
+    episodes: Sequence[int] | None = None,
+    frames: str = ":",
+) -> list[Reading]:
+    """Episodes of a log, all of them unless their numbers are given.
+
+    Joints' angles become the body's (θ = zero + sign · q), torques get the sign too, and a servo's targets become the
+    torque of the targets alone, which is what a model is given. Each reading says where its units stand, and how it
+    reads in others.
+
+    Raises InputError for a log, a mapping or episodes that make no sense, and targets of a joint without a servo.
+    """
+    given = None if mapping is None else LogMap.load(check_readable(mapping))
+    if given is not None:
+        with about(str(mapping)):
+            given.check_kinds(slides(body))
+
+    def read(**scales: float) -> list[Recording]:
+        found = recordings_of(name, body.joint_names, given, episodes, **scales)
+        return [_in_the_bodys_terms(logged, body).at(frame_range(frames)) for logged in found]
+
+    units = (given or LogMap()).units
+    maps = tuple(given.joints.get(name, JointMap()) for name in body.joint_names) if given else ()
+    targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
+    return [
+        Reading(recording, units, lambda n=n, **scales: read(**scales)[n], targets, maps)
+        for n, recording in enumerate(read())
+    ]
+
+
+def read_log_files(
+    files: Sequence[str],
+    body: Body | Tree,
+    *,
+    frames: str = ":",
+    mapping: str | None = None,
+    episodes: str = "0",
+) -> list[Reading]:
+    """Some episodes of one log, such as "0,1". Raises InputError for what is no such list, and as :func:`read_logs`."""
+    (name,) = files
+    return read_logs(name, body, mapping, episode_numbers(episodes), frames)
+
+
+def episode_numbers(text: str) -> list[int]:
+    """Read "0,1". Raises InputError for anything else."""
+    try:
+        return [int(number) for number in text.split(",")]
+    except ValueError:
+        raise InputError(f"episodes are a list of numbers, such as 0,1, got {text!r}") from None
+
+
+def _in_the_bodys_terms(logged: Logged, body: Body | Tree) -> Recording:
+    recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
+    parts = [own or NOTHING for own in body.joint_parts]
+    sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])
+    if recording.torques is not None:
+        commands = sign * recording.torques
+    for k, (joint, own) in enumerate(zip(body.joint_names, parts, strict=True)):
+        target = logged.targets[:, k]
+        if not np.isfinite(target).any():
+            continue
+        if own.servo is None:
+            raise InputError(
+                f"{recording.name}: targets of joint {joint!r}, which has no servo in the robot's file: give it one "
+                '(<position> in MJCF, motor = {kind = "position", …} in TOML), or its torques'
+            )
+        commands[:, k] = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
+    angles = None if recording.angles is None else zero + sign * recording.angles
+    return replace(recording, angles=angles, torques=commands if np.isfinite(commands).any() else None)

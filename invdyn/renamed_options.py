@@ -1,0 +1,70 @@
+"""Options that have new names: the old ones work for one version, with a warning."""
+
+from collections.abc import Callable, Collection, Sequence
+
+RENAMED = {
+    "--also": "--with",
+    "--beside": "--camera",
+    "--free": "--estimate",
+    "--most": "--max-effects",
+    "--passive": "--zero-torque",
+    "--without": "--exclude",
+    "--arm": "--tracker",
+    "--network": "--tracker",
+    "--scheduler": "--workers",
+    "--body-lengths": "--scale body",
+    "--learn-lengths": "--learn lengths",
+    "--learn-cameras": "--learn",
+    "--figure": "--out",
+    "--film": "--out",
+    "--sto": "--out",
+    "--mot": "--out",
+    "--csv": "--out",
+    "--episode": "--set episodes=",
+}
+"""Old option to new one; a flag may become an option with its value."""
+SETTINGS = (
+    *("baseline", "clock", "device", "episodes", "filters-per-task", "format", "individual", "method-user"),
+    *("noise", "person", "plane", "tolerance", "tracks", "unit"),
+)
+"""Old options that are settings now, each ``--set NAME=VALUE``."""
+
+
+def with_new_names(
+    words: Sequence[str], own: Collection[str], repeatable: Collection[str], warn: Callable[[str], None]
+) -> list[str]:
+    """A command's words with old options under their new names.
+
+    Args:
+        words: what follows the command's name.
+        own: options that the command has.
+        repeatable: those of them that may be given several times.
+        warn: called with a sentence for each old option.
+
+    Raises ValueError for an old option next to the new one, of which a command takes one.
+    """
+    found: list[str] = []
+    given = {word.partition("=")[0] for word in words}
+    rest = iter(words)
+    for word in rest:
+        if word == "--":
+            return [*found, word, *rest]
+        old, equals, value = word.partition("=")
+        new = _new_name(old)
+        name = new.partition(" ")[0]
+        if old in own or name not in own or (name == "--out" and name not in repeatable):
+            found.append(word)
+            continue
+        if name in given and name not in repeatable:
+            raise ValueError(f"{old} is {name} now, which is given too: leave one of them out")
+        given.add(name)
+        warn(f"{old} is now {new.replace('=', '=…')}; the old name works in this version alone")
+        if new.endswith("="):
+            found += [name, f"{new.split()[1]}{value if equals else next(rest, '')}"]
+        else:
+            found += new.split() if not equals else [f"{name}={value}"]
+    return found
+
+
+def _new_name(old: str) -> str:
+    return f"--set {old[2:]}=" if old[2:] in SETTINGS else RENAMED.get(old, "")

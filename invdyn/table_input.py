@@ -1,0 +1,182 @@
+"""A table of keypoints, angles and commands as a recording of a body, in the plane or in space."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from invdyn.inference.plausible_for_body import check_fits, rooted, slides
+from invdyn.models import Body, Tree, dynamics_for
+from invdyn.recordings import FORMATS, InputError, Recording, bridged, in_body_lengths, load, parse_units
+from invdyn.recordings.errors import about
+from invdyn.recordings.formats import recognise
+from invdyn.recordings.naming import closest
+from invdyn.recordings.plane import FLAT
+from invdyn.recordings.reading import Reading
+
+from .input_names import frame_range
+
+BODY = "body"
+"""A scale that is not known: tracks are scaled to the length of the body."""
+
+
+def read_table(
+    files: Sequence[str],
+    body: Body | Tree,
+    *,
+    frames: str = ":",
+    as_filmed: bool = False,
+    as_it_stands: bool = False,
+    guessed: bool = False,
+    units: str | None = None,
+    fps: float | None = None,
+    format: str | None = None,
+    scale: float | str | None = None,
+    base: str | None = None,
+    individual: str | None = None,
+    plane: str | None = None,
+) -> list[Reading]:
+    """The one recording of a file; see :func:`load_recording`.
+
+    ``as_it_stands``: nothing is checked or left out, and numbers without ``units`` are taken to be SI.
+    """
+    (name,) = files
+    options: dict[str, Any] = {"units": units, "fps": fps, "format": format, "individual": individual, "plane": plane}
+    stated = parse_units(units)
+    if not as_it_stands:
+        options |= {"base": base, "scale": scale, "as_filmed": as_filmed, "guessed": guessed, "frames": frames}
+        return [Reading(load_recording(name, body, **options), stated)]
+    if _is_own(name, format):
+        usual = {"s": stated.time, "rad": stated.angle, "m": stated.length}
+        options["units"] = ",".join([*([units] if units else []), *(u for u, given in usual.items() if given is None)])
+    options["plane"] = plane or (FLAT if body.space == 2 else None)
+    recording = load(name, joints=body.joint_names, shifting=slides(body), **options)
+    return [Reading(recording.at(frame_range(frames)), stated)]
+
+
+def load_recording(
+    name: str,
+    body: Body | Tree,
+    *,
+    base: str | None = None,
+    scale: float | str | None = None,
+    as_filmed: bool = False,
+    guessed: bool = False,
+    frames: str = ":",
+    **options: Any,
+) -> Recording:
+    """Recording of the keypoints and joints of ``body``, checked against its lengths.
+
+    Args:
+        name: a file, or the name of a known recording.
+        body: says which keypoints and joints, and their order.
+        base: the keypoint at the first joint; in the plane by default the one with the joint's name. Where the file
+            has it, all others are taken relative to it, and moved to the body's own base.
+        scale: metres a pixel; "body", in the plane alone, for that of the body's own length. The base must then be
+            tracked. A warning says so unless the body is in body lengths itself.
+        as_filmed: leave keypoints as they are, if the file is in metres and ``base`` is not given. Subtracting the
+            base would hide a tilted camera, and add the base's noise to all keypoints.
+        guessed: the body's lengths are, and will be learned.
+        frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
+        options: units, fps, format … of :func:`invdyn.recordings.load`. Of a body in the plane a constant third
+            coordinate is left out, unless ``plane`` says which two are meant.
+
+    Raises:
+        InputError: the file, or the file together with the body, makes no sense.
+        OSError: the file cannot be opened.
+    """
+    read = _in_plane if body.space == 2 else _in_space
+    recording, length = read(name, body, base, scale, as_filmed, options)
+    with about(name):
+        check_fits(recording, body, parse_units(options.get("units")), guessed or scale == BODY)
+        rows = frame_range(frames)
+        return bridged(recording.at(rows), length, rows.indices(recording.num_frames)[0])
+
+
+def _in_plane(
+    name: str, body: Any, base: str | None, scale: float | str | None, as_filmed: bool, options: dict[str, Any]
+) -> tuple[Recording, float]:
+    """The recording of a chain in the plane, and the chain's length."""
+    options = options | {"plane": options.get("plane") or FLAT, "joints": body.joint_names}
+    options["scale"] = None if scale == BODY else scale
+    total = sum(link.nominal("length") for link in body.links)
+    units = parse_units(options.get("units"))
+    stated = any((base, scale, units.length, units.angle))
+    in_frame = as_filmed and not stated and _is_own(name, options.get("format"))
+    base, tips = base or body.base_keypoint, body.keypoint_names
+    if in_frame:
+        recording = load(name, **options)
+        known = (base, *tips)
+        if strange := [point for point in recording.keypoint_names if point not in known]:
+            raise _not_of_the_body(
+                name, strange[0], known, [tip for tip in known if tip not in recording.keypoint_names]
+            )
+        recording = recording.with_keypoints([tip for tip in tips if tip in recording.keypoint_names])
+    elif scale == BODY:
+        recording = load(name, keypoints=(base, *tips), base=base, **options)
+        recording = in_body_lengths(recording, length=total).with_keypoints(tips)
+        if recording.length_unit == "m":
+            warnings.warn(
+                f"{name}: no scale is known: keypoints are scaled so that the tracked arm is as long as the "
+                f"body's links together, {total:.3g} m",
+                stacklevel=2,
+            )
+    else:
+        recording = load(name, keypoints=tips, base=base, **options)
+    if not in_frame and any(body.base) and base in load(name, **options).keypoint_names:
+        recording = recording.moved(body.base)
+    if recording.length_unit == "px":
+        raise InputError(
+            f"{name}: keypoints are in px, the body is not: pass --scale with metres a pixel, or --scale body"
+        )
+    return recording, total
+
+
+def _in_space(
+    name: str, body: Any, base: str | None, scale: float | str | None, as_filmed: bool, options: dict[str, Any]
+) -> tuple[Recording, float]:
+    """The recording of some sites of a body in space, of its joints, or both, and the body's reach.
+
+    Keypoints that are not of the body are refused in our own file, and left out of a tracker's.
+    """
+    if options.get("plane"):
+        raise InputError(f"body '{body.name}' moves in space: leave plane out, which is for one that moves in a plane")
+    if scale == BODY:
+        raise InputError("--scale body is for a chain in the plane: give a recording in space its --units")
+    if not body.keypoint_names:
+        raise InputError(f"body '{body.name}' names no point: give its last link a tip, or a site, for what is drawn")
+    own_file = _is_own(name, options.get("format"))
+    recording = load(name, joints=body.joint_names, base=base, scale=scale, shifting=slides(body), **options)
+    points, sites = recording.keypoint_names, body.keypoint_names
+    if points and recording.keypoints.shape[-1] != 3:
+        raise InputError(
+            f"{name}: keypoints have two coordinates, but body '{body.name}' moves in space: give {points[0]}_z and "
+            "the like too, or a planar body"
+        )
+    strange = [point for point in points if point not in sites and point != base]
+    if strange and (own_file or len(strange) == len(points)):
+        hint = "" if base else f", or pass --base {strange[0]} if it is the first joint's own track"
+        raise _not_of_the_body(name, strange[0], sites, [site for site in sites if site not in points], hint)
+    if base not in points and points and not own_file and rooted(body):
+        warnings.warn(
+            f"{name}: no base is tracked (the file has {', '.join(points)}), so it is taken to rest where the body's "
+            "is, in the file's own frame; pass --base with the keypoint at the first joint if there is one",
+            stacklevel=2,
+        )
+    numbers = body.parameters()
+    recording = recording.with_keypoints([point for point in points if point in sites])
+    if base in points:
+        recording = recording.moved(numbers.position[0].tolist())
+    return recording, dynamics_for(body).reach(numbers).item()
+
+
+def _is_own(name: str, format: str | None) -> bool:
+    """Whether a file is in the project's own format, which is in the body's frame by contract."""
+    return Path(name).exists() and FORMATS[recognise(Path(name), format)].read is None
+
+
+def _not_of_the_body(name: str, point: str, known: Sequence[str], free: Sequence[str], hint: str = "") -> InputError:
+    return InputError(
+        f"{name}: keypoint {point!r} is not of the body, which has {', '.join(known)}{closest(point, free)}: "
+        f"rename one of them{hint}"
+    )
