@@ -1,4 +1,4 @@
-"""Exact answers for models with one real state, by sums over a dense grid; densities in plain numpy."""
+"""Exact answers for models of one real state, by sums over a dense grid."""
 
 import math
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import pyro.distributions as dist
 import torch
 
 from invdyn.models import StateSpaceModel
+from invdyn.models.observation.missing import observed_log_prob
 
 
 @dataclass
@@ -21,21 +22,30 @@ class GridAnswer:
 
 
 def grid_answer(points, first, steps):
-    """Of points (G,), log p(x_0, y_0) (G,), and for each later row log p(x_t, y_t | x_{t−1}) (G, G), x_{t−1} first."""
-    log_width = math.log(points[1] - points[0])
-    forward, totals = [first + log_width], []
+    """Of points (G,), p(x_0, y_0) (G,), and for each later row p(x_t, y_t | x_{t−1}) (G, G), x_{t−1} first."""
+    width = points[1] - points[0]
+    forward, totals, mass = [], [], first * width
     for t in range(len(steps) + 1):
-        joint = forward[t]
-        totals.append(np.logaddexp.reduce(joint))
-        forward[t] = joint - totals[-1]
-        if t < len(steps):
-            forward.append(np.logaddexp.reduce(forward[t][:, None] + steps[t], axis=0) + log_width)
-    backward = [np.zeros_like(points)]
+        if t > 0:
+            mass = forward[-1] @ steps[t - 1] * width
+        totals.append(mass.sum())
+        forward.append(mass / totals[-1])
+    backward = [np.ones_like(points)]
     for step, total in zip(steps[::-1], totals[:0:-1], strict=True):
-        backward.append(np.logaddexp.reduce(step + backward[-1], axis=1) + log_width - total)
-    smoothed = np.exp(np.array(forward) + np.array(backward[::-1]))
+        backward.append(step @ backward[-1] * width / total)
+    smoothed = np.array(forward) * np.array(backward[::-1])
     mean = smoothed @ points
-    return GridAnswer(sum(totals), mean, smoothed @ points**2 - mean**2, np.exp(forward) @ points)
+    return GridAnswer(np.log(totals).sum(), mean, smoothed @ points**2 - mean**2, np.array(forward) @ points)
+
+
+@torch.no_grad()
+def grid_posterior(model, rows, low, high, points=500):
+    """For a model of one state between ``low`` and ``high``, by its own densities, and rows (T, D)."""
+    x = torch.linspace(low, high, points, dtype=torch.float64).unsqueeze(-1)
+    seen = [observed_log_prob(model.emission(x, t), y) for t, y in enumerate(rows)]
+    moved = [model.transition(x.unsqueeze(1), t).log_prob(x.unsqueeze(0)) for t in range(1, len(rows))]
+    steps = [(move + of).exp().numpy() for move, of in zip(moved, seen[1:], strict=True)]
+    return grid_answer(x[:, 0].numpy(), (model.initial().log_prob(x) + seen[0]).exp().numpy(), steps)
 
 
 def log_normal(value, mean, sd):
@@ -82,37 +92,5 @@ def leverage_answer(y, phi=0.9, sigma=0.5, rho=-0.8, size=600):
         if np.isfinite(value):
             scale = np.exp(x / 2)[None]
             step = step + log_normal(value, rho * scale * noise, scale * math.sqrt(1 - rho**2))
-        steps.append(step)
-    return grid_answer(x, log_normal(x, 0.0, 1.0) + log_normal(y[0], 0.0, np.exp(x / 2)), steps)
-
-
-class Growth(StateSpaceModel):
-    """x_t = x/2 + 25 x/(1 + x²) + 8 cos(1.2 t) + N(0, 10), y_t = x²/20 + N(0, 1) (Gordon, Salmond & Smith 1993)."""
-
-    state_dim = observation_dim = 1
-
-    def __init__(self, steps):
-        super().__init__({"noise": torch.tensor(math.sqrt(10.0), dtype=torch.float64)})
-        self.num_steps = steps
-
-    def initial(self):
-        return dist.Normal(torch.zeros(1, dtype=torch.float64), 2.0).to_event(1)
-
-    def transition(self, state, t):
-        push = 8 * torch.cos(1.2 * torch.as_tensor(t, dtype=torch.float64))
-        push = push.unsqueeze(-1) if push.ndim else push
-        return dist.Normal(state / 2 + 25 * state / (1 + state**2) + push, self.parameters["noise"]).to_event(1)
-
-    def emission(self, state, t):
-        return dist.Normal(state**2 / 20, 1.0).to_event(1)
-
-
-def growth_answer(y, size=900):
-    """For :class:`Growth` and y (T,)."""
-    x = np.linspace(-45, 45, size)
-    steps = []
-    for t, value in enumerate(y[1:], 1):
-        mean = x / 2 + 25 * x / (1 + x**2) + 8 * math.cos(1.2 * t)
-        step = log_normal(x[None], mean[:, None], math.sqrt(10.0))
-        steps.append(step + (log_normal(value, x**2 / 20, 1.0)[None] if np.isfinite(value) else 0.0))
-    return grid_answer(x, log_normal(x, 0.0, 2.0) + log_normal(y[0], x**2 / 20, 1.0), steps)
+        steps.append(np.exp(step))
+    return grid_answer(x, np.exp(log_normal(x, 0.0, 1.0) + log_normal(y[0], 0.0, np.exp(x / 2))), steps)

@@ -1,4 +1,4 @@
-"""State-space models of one state, whose evidence a grid gives (:mod:`grid_filter`)."""
+"""State-space models of one state, whose evidence a grid gives (:mod:`grids`)."""
 
 import math
 

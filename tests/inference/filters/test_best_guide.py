@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from grid_filter import grid_evidence
+from grids import grid_posterior
 from one_state import Counts, Growth, HeavyTailed, Multiplicative, Positive, Volatility
 
 from invdyn.inference import Guide, SMCOptions, best_guide, gauss_newton, run_filters
@@ -32,7 +32,7 @@ def test_evidence_of_models_of_ones_own(kind, name, low):
     model = kind(20)
     torch.manual_seed(3)
     y = model.simulate()[1]
-    exact, _ = grid_evidence(model, y, low, 7)
+    exact = grid_posterior(model, y, low, 7).log_evidence
     guide, found = default_run(model, y)
     assert guide.name == name
     assert found.usable, found.reason
@@ -43,7 +43,7 @@ def check_growth(seed, num_steps):
     model = Growth(num_steps)
     torch.manual_seed(seed)
     y = model.simulate()[1]
-    exact, _ = grid_evidence(model, y, -30, 30, 400)
+    exact = grid_posterior(model, y, -30, 30, 400).log_evidence
     guide, found = default_run(model, y, seed=seed)
     assert guide.name != "controlled"
     assert not found.usable or found.log_evidence == pytest.approx(exact, abs=3 * found.sd)

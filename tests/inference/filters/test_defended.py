@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from grid_filter import grid_evidence
+from grids import grid_posterior
 from one_state import Autoregression, HeavyTailed, Multiplicative, Positive
 from oracles import kalman, random_chain, with_gaps
 
@@ -35,7 +35,7 @@ def test_a_linear_gaussian_model_is_exact_without_a_floor_and_unbiased_with(shar
 @pytest.mark.parametrize("kind", [Multiplicative, HeavyTailed])
 def test_evidence_of_any_dynamics(kind):
     model, y = recorded(kind)
-    exact, _ = grid_evidence(model, y, -8, 8)
+    exact = grid_posterior(model, y, -8, 8).log_evidence
     like = look_alike(model)
     smoother = gauss_newton(like, y)
     torch.manual_seed(1)
@@ -56,7 +56,7 @@ def test_one_gain_for_noise_that_varies_is_refused():
 
 def test_a_learned_correction_takes_each_particles_own_noise():
     model, y = recorded(Multiplicative)
-    exact, _ = grid_evidence(model, y, -8, 8)
+    exact = grid_posterior(model, y, -8, 8).log_evidence
     guide = Corrected(model, y, gauss_newton(model, y))
     torch.manual_seed(2)
     found = outer_weights(ParticleFilter(model, guide, 400, num_filters=64).run(y, keep=0).log_evidence)

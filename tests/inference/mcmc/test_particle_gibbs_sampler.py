@@ -5,7 +5,8 @@ import oracles
 import pyro.distributions as dist
 import pytest
 import torch
-from grids import Growth, growth_answer
+from grids import grid_posterior
+from one_state import Growth
 
 from invdyn.inference import Controlled, gauss_newton, particle_gibbs_sampler
 from invdyn.inference.contract import ModelError
@@ -52,7 +53,7 @@ def test_the_growth_model_against_a_grid():
     torch.manual_seed(4)
     y = model.simulate()[1]
     y[5] = torch.nan
-    exact = growth_answer(y[:, 0].numpy())
+    exact = grid_posterior(model, y, -45, 45, 900)
     assert exact.variance.max() > 20
     paths = particle_gibbs_sampler(model, y, num_particles=60, num_chains=600, num_draws=1, warmup=25, seed=2)
     found = paths.reshape(-1, steps)

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from grid_filter import grid_evidence
+from grids import grid_posterior
 from one_state import Counts, Growth, Positive
 from pyro.distributions import Normal
 
@@ -58,7 +58,7 @@ class Pair(Constants):
 def test_a_posterior_far_from_the_methods_own_is_not_usable(method):
     model = Growth(25)
     y = model.simulate(seed=501)[1]
-    exact, _ = grid_evidence(model, y, -30, 30, 400)
+    exact = grid_posterior(model, y, -30, 30, 400).log_evidence
     idata = infer_states(model, y, method=method, **SIZES, **QUICK.get(method, {}))
     assert idata.attrs["log_evidence"] < exact - 20  # in a wrong mode
     assert "bootstrap" in evidence_note(idata)
@@ -76,7 +76,7 @@ def test_a_posterior_near_the_methods_own_is_usable(method):
 def test_vsmc_takes_constants_in_float64():
     model = Constants()
     y = model.simulate(seed=1)[1]
-    exact, _ = grid_evidence(model, y, -6, 6)
+    exact = grid_posterior(model, y, -6, 6).log_evidence
     idata = infer_states(model, y, method="vsmc", **SIZES, steps=1)
     assert idata.attrs["log_evidence"] == pytest.approx(exact, abs=1e-3)
 
@@ -91,7 +91,7 @@ def test_a_state_without_noise_is_refused_in_one_line(method):
 @pytest.mark.parametrize(("model", "low", "high"), [(Growth(12), -30, 30), (Positive(12), 1e-3, 9)])
 def test_particle_gibbs_takes_the_guide_that_pilots_chose(model, low, high):
     y = model.simulate(seed=2)[1]
-    _, filtered = grid_evidence(model, y, low, high, 600)
+    filtered = grid_posterior(model, y, low, high, 600).filtered
     sizes = {"num_filters": 32, "num_particles": 60, "num_draws": 8}
     states = infer_states(model, y, method="particle-gibbs", seed=1, **sizes)["posterior"]["state"]
     last = states.isel(time=-1).values.ravel()

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from grid_filter import grid_evidence
+from grids import grid_posterior
 from one_state import Counts, Directions, Switches, Volatility
 from oracles import random_chain, with_gaps
 from pyro.distributions import Normal
@@ -76,7 +76,7 @@ def test_what_no_mean_sums_up_is_seen(kind):
     model = kind(30)
     torch.manual_seed(3)
     truth, y = model.simulate()
-    exact, _ = grid_evidence(model, y, -6, 6, 400)
+    exact = grid_posterior(model, y, -6, 6, 400).log_evidence
     mode = gauss_newton(model, y)
     around = posterior_linearisation(model, y, mode)
     assert bool(mode.converged)
