@@ -72,10 +72,12 @@ class Commands(TyperGroup):
     @staticmethod
     def _with_new_names(command: Any, words: list[str]) -> list[str]:
         """Words of a command, renamed options under their new names; a warning says so."""
-        own = [(option, one) for one in command.params for option in (*one.opts, *one.secondary_opts)]
-        repeatable = [option for option, one in own if getattr(one, "multiple", False)]
+        options = [(option, one) for one in command.params for option in (*one.opts, *one.secondary_opts)]
+        repeatable = [option for option, one in options if getattr(one, "multiple", False)]
+        settings = [f"--set {name.replace('_', '-')}=" for name in getattr(command.callback, "settings", ())]
+        own = [*(option for option, _ in options), *settings]
         try:
-            return with_new_names(words, [option for option, _ in own], repeatable, partial(print_line, "warning"))
+            return with_new_names(words, own, repeatable, partial(print_line, "warning"))
         except ValueError as error:
             print_line("error", error)
             raise typer.Exit(BAD_INPUT) from None

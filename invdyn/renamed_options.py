@@ -37,7 +37,7 @@ def with_new_names(
 
     Args:
         words: what follows the command's name.
-        own: options that the command has.
+        own: options that the command has, a setting as "--set name=".
         repeatable: those of them that may be given several times.
         warn: called with a sentence for each old option.
 
@@ -52,7 +52,8 @@ def with_new_names(
         old, equals, value = word.partition("=")
         new = _new_name(old)
         name = new.partition(" ")[0]
-        if old in own or name not in own or (name == "--out" and name not in repeatable):
+        known = (new if new.endswith("=") else name) in own
+        if old in own or not known or (name == "--out" and name not in repeatable):
             found.append(word)
             continue
         if name in given and name not in repeatable:

@@ -32,7 +32,7 @@ def smooth(rng, shape, length):
 
 @pytest.fixture(scope="session")
 def make_posterior():
-    """Function (num_joints, num_frames, …) -> InferenceData; the truth lies inside the draws' own spread."""
+    """Function (num_joints, num_frames, …) -> InferenceData; the truth lies inside the draws' own range."""
 
     def make(num_joints=2, num_frames=60, num_filters=5, num_draws=4, *, truth=True, angles=False,
              missing=True, frame_interval=0.03, noise=0.1, seed=0):  # fmt: skip
@@ -45,9 +45,9 @@ def make_posterior():
             "angle": 0.7 * smooth(rng, draws[2:], 8) - np.pi / 2 * (np.arange(num_joints) == 0),
         }
         true["velocity"] = np.gradient(true["angle"], frame_interval, axis=0)
-        spread = {"torque": 0.6, "angle": 0.05, "velocity": 0.3}
-        bias = {name: spread[name] * smooth(rng, draws[2:], 3) for name in spread}
-        posterior = {name: true[name] + bias[name] + spread[name] * smooth(rng, draws, 3) for name in spread}
+        scatter = {"torque": 0.6, "angle": 0.05, "velocity": 0.3}
+        bias = {name: scatter[name] * smooth(rng, draws[2:], 3) for name in scatter}
+        posterior = {name: true[name] + bias[name] + scatter[name] * smooth(rng, draws, 3) for name in scatter}
         posterior["position"] = tips(posterior["angle"])
         observed = tips(true["angle"]) + noise * rng.standard_normal((num_frames, num_joints, 2))
         if missing:

@@ -1,4 +1,4 @@
-"""Whatever is wrong ends with one clear line and an exit code, and leaves no half-written file."""
+"""Anything wrong ends with one clear line and an exit code, and leaves no half-written file."""
 
 import os
 import signal
@@ -63,7 +63,7 @@ BAD = {
         "found.html: expected the name of a folder, got that of a file: leave .html out",
     ),
     "no mapping": (("check", "arm.toml", "rec.csv", "--map", "none.toml"), "error: --map none.toml: No such file"),
-    "no recording beside": (
+    "no recording in addition": (
         ("diagnose", "rec.csv", "--body", "arm.toml", "--out", "d", "--with=rec2.csv,none.csv"),
         "error: --with rec2.csv: no such file",
     ),

@@ -1,4 +1,4 @@
-"""Whatever is wrong with a body in space, or beside one, ends with one clear line, exit code 2, nothing written."""
+"""Anything wrong with a body in space, or its recording, ends with one clear line, exit code 2, nothing written."""
 
 import pytest
 

@@ -28,8 +28,8 @@ recording, body, out = map(pathlib.Path, sys.argv[1:])
 top = out.parent.parent
 above = [path for path in top.rglob("*") if path.is_file()]
 assert not [path for path in above if path.name in ("answers.json", "scores.json")], above
-told = "".join(path.read_text() for path in above if path.suffix == ".json" and path.parent.parent.name != "diagnoses")
-assert "viscous" not in told and "dprime" not in told and "kind" not in told
+shown = "".join(path.read_text() for path in above if path.suffix == ".json" and path.parent.parent.name != "diagnoses")
+assert "viscous" not in shown and "dprime" not in shown and "kind" not in shown
 assert pathlib.Path.cwd() == recording.parent and json.loads(pathlib.Path("case.json").read_text())["regime"]
 with open(top.parent / "log.txt", "a") as log:
     log.write(out.name + "\\n")
@@ -97,14 +97,14 @@ def test_a_run_is_sealed_diagnosed_scored_and_resumed(blind, tmp_path):
 
 @pytest.fixture
 def making(tmp_path, monkeypatch):
-    """Function that makes three cases in a folder; what was begun; and whether the next one breaks off half-written."""
-    begun, breaks = [], []
+    """Function that makes three cases in a folder; what was launched; and whether the next one stops half-written."""
+    launched, breaks = [], []
     write = Case.write
 
     def broken(case, folder):
-        begun.append(Path(folder).name)
+        launched.append(Path(folder).name)
         write(case, folder)
-        if breaks and begun[-1] == breaks[-1]:
+        if breaks and launched[-1] == breaks[-1]:
             breaks.pop()
             (Path(folder) / "recording.csv").write_text("half")
             raise KeyboardInterrupt
@@ -112,40 +112,40 @@ def making(tmp_path, monkeypatch):
     monkeypatch.setattr(Case, "write", broken)
 
     def make(name, seed=5):
-        begun.clear()
+        launched.clear()
         blind = BlindRun(tmp_path / name, {"none": 3}, seed=seed)
         blind.check()
         return blind.make()
 
-    return make, begun, breaks
+    return make, launched, breaks
 
 
 @pytest.mark.long
 def test_cases_that_were_made_before_an_interruption_are_not_made_again(making, tmp_path):
-    make, begun, breaks = making
+    make, launched, breaks = making
     commitment, names = make("whole"), ["case-0000", "case-0001", "case-0002"]
-    assert begun == names
+    assert launched == names
     breaks.append(names[1])
     with suppress(KeyboardInterrupt):
         make("parts")
     assert not (tmp_path / "parts" / "sealed.json").exists()
     assert make("parts") == commitment
-    assert begun == names[1:]
+    assert launched == names[1:]
     for path in (tmp_path / "whole" / "cases").rglob("*.*"):
         assert (tmp_path / "parts" / path.relative_to(tmp_path / "whole")).read_bytes() == path.read_bytes()
     assert make("parts") == commitment
-    assert begun == []
+    assert launched == []
 
 
 @pytest.mark.long
 def test_what_another_run_left_is_no_case_of_this_one(making, tmp_path):
-    make, begun, breaks = making
+    make, launched, breaks = making
     commitment = make("whole")
     for seed, last in ((5, "case-0002"), (6, "case-0000"), (5, None)):
         breaks[:] = [last] if last else []
         with suppress(KeyboardInterrupt):
             again = make("parts", seed)
-    assert begun == ["case-0000", "case-0001", "case-0002"]
+    assert launched == ["case-0000", "case-0001", "case-0002"]
     assert again == commitment
     shutil.rmtree(tmp_path / "parts" / "cases")
     with pytest.raises(InputError, match="other cases"):
@@ -231,14 +231,14 @@ def test_the_process_apart_reads_a_case_and_survives_what_fails(tmp_path, monkey
     assert "seconds" in replies[3]
 
 
-def test_the_oracle_is_told_the_effect_and_nothing_else(tmp_path, monkeypatch):
+def test_the_oracle_is_given_the_effect_and_nothing_else(tmp_path, monkeypatch):
     stand_in = tmp_path / "python"
     stand_in.write_text(
         f"#!{sys.executable}\nimport json, pathlib, sys\n"
         "for line in sys.stdin:\n"
         "    job = json.loads(line)\n"
-        "    out, told = pathlib.Path(job['out']), bool(job['without'])\n"
-        "    gap = {'detected': True, 'elpd_per_frame': {'nominal': 1.0, 'corrected': 3.0 if told else 2.0}}\n"
+        "    out, shown = pathlib.Path(job['out']), bool(job['without'])\n"
+        "    gap = {'detected': True, 'elpd_per_frame': {'nominal': 1.0, 'corrected': 3.0 if shown else 2.0}}\n"
         "    found = {'gap': gap, 'causes': [], 'without': job['without']}\n"
         "    (out / 'diagnosis.json').write_text(json.dumps(found))\n"
         "    print(json.dumps({'seconds': 0.1}), flush=True)\n"
@@ -252,10 +252,10 @@ def test_the_oracle_is_told_the_effect_and_nothing_else(tmp_path, monkeypatch):
     scores = run.score(oracle=True)
     figure = scores.measure("commanded", "share of the gap closed, of an oracle's")
     assert (figure.value, figure.n) == (0.5, 2)
-    told = sorted((tmp_path / "run/oracle").iterdir())
+    shown = sorted((tmp_path / "run/oracle").iterdir())
     answers = read_opened(tmp_path / "run/answers.json")
-    assert {path.name for path in told} == {name for name, answer in answers.items() if answer["effects"]}
-    for path in told:
+    assert {path.name for path in shown} == {name for name, answer in answers.items() if answer["effects"]}
+    for path in shown:
         (effect,) = answers[path.name]["effects"]
         struck = json.loads((path / "diagnosis.json").read_text())["without"]
         assert set(CATALOGUE) - set(struck) == {effect["effect"]}

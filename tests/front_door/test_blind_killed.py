@@ -1,4 +1,4 @@
-"""`invdyn blind`, ended while a case is being diagnosed, goes on with that case and to the same score."""
+"""`invdyn blind`, ended while a case is being diagnosed, continues with that case and to the same score."""
 
 import json
 import shlex

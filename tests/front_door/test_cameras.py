@@ -1,4 +1,4 @@
-"""`invdyn calibrate` and `invdyn triangulate`: files out, and one line for whatever is wrong."""
+"""`invdyn calibrate` and `invdyn triangulate`: files out, and one line for any mistake."""
 
 from dataclasses import replace
 
@@ -65,9 +65,9 @@ def test_triangulate(films, run):
     assert recording.keypoint_names == NAMES
     error = recording.keypoints - POINTS
     assert np.sqrt(np.mean(error**2)) < 0.004  # 1 px is 3 mm here
-    spread, _ = read_table(films / "sd.csv")
-    assert list(spread)[:3] == ["time", "shoulder_x_sd", "shoulder_y_sd"]
-    scaled = error[:, 0, 0] / spread["shoulder_x_sd"]
+    sds, _ = read_table(films / "sd.csv")
+    assert list(sds)[:3] == ["time", "shoulder_x_sd", "shoulder_y_sd"]
+    scaled = error[:, 0, 0] / sds["shoulder_x_sd"]
     assert 0.6 < np.sqrt(np.mean(scaled**2)) < 1.5
     assert (films / "e.csv").read_text().count("\n") == 1 + 3 * 4
     assert read_calibration(films / "c.toml").metric
@@ -179,7 +179,7 @@ def test_tracks_and_cameras_that_do_not_fit_end_with_one_line(films, run, conten
 
 
 def test_calibrate(films, run):
-    """Three pictures of a board are too few, and told with the camera's name; a whole calibration is another test's."""
+    """Three pictures of a board are too few, and the camera is named; a whole calibration is another test's."""
     pytest.importorskip("cv2")
     from PIL import Image
 
@@ -220,7 +220,7 @@ def test_calibrate_writes_what_it_found_and_says_it(films, run, monkeypatch):
 
 
 @pytest.mark.filterwarnings("default")
-def test_exchanged_files_are_told(films, run):
+def test_exchanged_files_are_reported(films, run):
     crossed = ("triangulate", "cam1=cam2.csv", "cam2=cam1.csv", "cam3=cam3.csv", "--calibration", "calibration.toml")
     outcome = run(*crossed, "--out", "arm.csv")
     assert outcome.exit_code == 0, outcome.output

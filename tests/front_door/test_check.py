@@ -104,8 +104,8 @@ def test_effects_stand_once_with_their_places(files):
 
 
 @pytest.mark.filterwarnings("default:.*taken as a body in space:UserWarning")
-def test_a_log_of_an_arm_with_a_mass_aside_is_of_a_body_in_space(tmp_path):
-    """A counterweight beside the line of the joints explains its share of the torques."""
+def test_a_log_of_an_arm_with_a_mass_off_the_line_is_of_a_body_in_space(tmp_path):
+    """A counterweight next to the line of the joints explains its share of the torques."""
     pytest.importorskip("mujoco")
     links = [("shoulder", "0 0 0", "0.15 0 0"), ("elbow", "0.3 0 0", "0.1 0 0.08")]
     inner, outer = (

@@ -126,7 +126,7 @@ def test_simulate_writes_a_recording_and_its_truth(folder, run):
     assert Path("sim.csv").read_bytes() != first
 
 
-def test_infer_writes_all_that_was_asked_for(folder, quick_inference, run, contents):
+def test_infer_writes_all_that_is_wanted(folder, quick_inference, run, contents):
     wanted = ["p.nc", "f.png", "f.gif", "t.sto", "t.csv"]
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--out", "f.png",
                   "--out", "f.gif", "--out", "t.sto", "--out", "t.csv")  # fmt: skip
@@ -236,20 +236,20 @@ def test_simulate_infer_plot_end_to_end(folder, run):
 
 
 def test_a_posterior_of_too_few_draws_says_so(make_posterior):
-    told = "warning: bands of 20 independent draws or more mean something, these rest on "
-    assert told not in summary_text(make_posterior(num_filters=6))
-    assert f"{told}4: raise --filters, --particles or --draws" in summary_text(make_posterior(num_filters=1))
+    words = "warning: bands of 20 independent draws or more mean something, these rest on "
+    assert words not in summary_text(make_posterior(num_filters=6))
+    assert f"{words}4: raise --filters, --particles or --draws" in summary_text(make_posterior(num_filters=1))
     one = make_posterior(num_filters=6)
     one.posterior["angle"][:] = one.posterior["angle"][:1].values  # copies of one filter's draws
-    assert f"{told}4:" in summary_text(one)
+    assert f"{words}4:" in summary_text(one)
     same = make_posterior(num_filters=6)
     same.posterior["angle"][:, 1:] = same.posterior["angle"][:, :1].values  # one particle a filter
     assert independent_draws(same) == pytest.approx(6, abs=1)
     same.attrs["method"] = "differentiate"
-    assert told not in summary_text(same)
+    assert words not in summary_text(same)
     chains = make_posterior(num_filters=6)
     chains.sample_stats.attrs["ess_bulk"] = 7.0
-    assert f"{told}7:" in summary_text(chains)
+    assert f"{words}7:" in summary_text(chains)
 
 
 @pytest.mark.long
@@ -289,7 +289,7 @@ def test_demo_leaves_everything_and_says_where(folder, run, contents):
 
 @pytest.mark.quick("laplace")
 @pytest.mark.parametrize("method", ["laplace", "differentiate"])
-def test_a_method_without_filters_is_drawn_and_told_too(folder, run, method):
+def test_a_method_without_filters_is_drawn_and_summarised_too(folder, run, method):
     run("simulate", "--body", "paper_planar_arm", "--duration", 1, "--out", "short.csv")
     outputs = ("p.nc", "p.png", "p.sto", "p.csv")
     options = [word for name in outputs for word in ("--out", name)]

@@ -95,8 +95,8 @@ def test_what_is_written_and_said(folder, run, calls):
     outcome = run(*DIAGNOSE, "--seed", 7)
     assert outcome.exit_code == 0, outcome.output
     assert {path.name for path in (folder / "found").iterdir()} == {"diagnosis.json", "report.html"}
-    told = json.loads((folder / "found/diagnosis.json").read_text())
-    assert (told["seed"], told["causes"][0]["effects"][0]["effect"]) == (7, "viscous_friction")
+    written = json.loads((folder / "found/diagnosis.json").read_text())
+    assert (written["seed"], written["causes"][0]["effects"][0]["effect"]) == (7, "viscous_friction")
     first, *_ = outcome.stdout.splitlines()
     assert first.startswith("There is a gap: the simulation leaves out viscous friction at the elbow")
     assert "found/report.html" in outcome.stdout
@@ -147,7 +147,7 @@ def test_keypoints_stay_where_they_were_filmed(commanded, run, calls):
     np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.0, 0.0], [2.0, 0.0]])
 
 
-def test_a_camera_beside_a_log(folder, run, calls):
+def test_a_camera_and_a_log(folder, run, calls):
     """Its clock is found from the motion and said, or stated; the two are one recording."""
     both = robot_log(5)
     ARM.to_toml(folder / "robot.toml")

@@ -18,7 +18,7 @@ PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]*)\)")
 
 @pytest.mark.parametrize(("page", "line"), [(page.name, line) for page in PAGES for line in commands(page)])
 def test_a_command_can_be_pasted_into_a_shell(page, line):
-    """Nothing for the shell in it, no stray words, and every option is one of that command's."""
+    """Nothing for the shell in it, no other words, and every option is one of that command's."""
     words = shlex.split(line, comments=True)
     assert not re.search(r"[<>|;&`$]", line.split(" #")[0]), f"{page}: the shell would read {line!r} otherwise"
     command = typer.main.get_command(app).commands[words[1]]

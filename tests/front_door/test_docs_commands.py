@@ -22,7 +22,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.recordings import write_keypoint_csv
 
 LEFT_OUT = pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarning")
-"""What a robot's file has besides is told."""
+"""What else a robot's file has is reported."""
 RUN = {
     "": None,  # commands: test_docs.py parses them, test_docs_inline.py what is not ours
     # Names of files, words for another program's command, and an error's line.

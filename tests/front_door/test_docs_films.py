@@ -28,7 +28,7 @@ from invdyn.recordings.tracking import blazepose, training
 
 
 def run_all(run, page, monkeypatch, folder):
-    """Run each command of a page in a folder; its first line that fails is told."""
+    """Run each command of a page in a folder; its first line that fails is reported."""
     monkeypatch.chdir(folder)
     lines = commands(ROOT / "docs" / page)
     assert lines
@@ -101,16 +101,16 @@ def test_cameras(tmp_path, monkeypatch, run, quick_inference):
 
 def test_the_blind_check(tmp_path, monkeypatch, run):
     pytest.importorskip("pinocchio")
-    begun = []
+    launched = []
     (tmp_path / "seed.txt").write_text("12345678901")
     (tmp_path / "my_method").write_text("#!/bin/sh\n")
     (tmp_path / "my_method").chmod(stat.S_IRWXU)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(BlindRun, "make", lambda self, progress: begun.append(self) or "0" * 64)
+    monkeypatch.setattr(BlindRun, "make", lambda self, progress: launched.append(self) or "0" * 64)
     monkeypatch.setattr(BlindRun, "diagnose", lambda self, progress: None)
     monkeypatch.setattr(BlindRun, "score", lambda self, progress, oracle: score({}, {}))
     lines = run_all(run, "blind_protocol.md", monkeypatch, tmp_path)
-    assert len(begun) == len(lines)
-    assert {each.engine for each in begun} == {"mujoco", "pinocchio", "mujoco-in-space"}
-    assert sum(begun[0].counts.values()) == 200
-    assert begun[-1].seed == 12345678901
+    assert len(launched) == len(lines)
+    assert {each.engine for each in launched} == {"mujoco", "pinocchio", "mujoco-in-space"}
+    assert sum(launched[0].counts.values()) == 200
+    assert launched[-1].seed == 12345678901

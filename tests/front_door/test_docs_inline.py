@@ -1,4 +1,4 @@
-"""What pages and notebooks tell a reader to type beside blocks of commands: make, pip, scripts, words in a sentence.
+"""What pages and notebooks tell a reader to type next to blocks of commands: make, pip, scripts, words in a sentence.
 
 They are not run here: some take hours. But each names a script, a target, an extra or an option that is there.
 """
@@ -43,10 +43,10 @@ def options(words: list[str]) -> set[str]:
 
 
 def source(script: Path) -> str:
-    """A script, and those beside it that it imports: one may take its options from another."""
+    """A script, and those next to it that it imports: one may take its options from another."""
     own = script.read_text("utf-8")
-    beside = [script.parent / f"{name}.py" for name in re.findall(r"^(?:from|import) (\w+)", own, re.MULTILINE)]
-    return own + "".join(each.read_text("utf-8") for each in beside if each.exists())
+    others = [script.parent / f"{name}.py" for name in re.findall(r"^(?:from|import) (\w+)", own, re.MULTILINE)]
+    return own + "".join(each.read_text("utf-8") for each in others if each.exists())
 
 
 def is_there(line: str) -> bool:
@@ -62,8 +62,8 @@ def is_there(line: str) -> bool:
         case ["make", target, *_]:
             return target in TARGETS
         case ["python", "-m", "pip", "install", *rest] | ["pip", "install", *rest]:
-            asked = [extra for word in rest for group in re.findall(r"\[(.*)\]", word) for extra in group.split(",")]
-            return bool(asked) and set(asked) <= set(EXTRAS)
+            wanted = [extra for word in rest for group in re.findall(r"\[(.*)\]", word) for extra in group.split(",")]
+            return bool(wanted) and set(wanted) <= set(EXTRAS)
         case ["python", script, *rest] if script.endswith(".py"):
             names = {option.replace("--no-", "--") for option in options(rest)}  # --no-x of a flag --x
             return all(f'"{name}"' in source(ROOT / script) for name in names)
@@ -72,7 +72,7 @@ def is_there(line: str) -> bool:
     return False
 
 
-def test_what_is_not_there_is_told():
+def test_what_is_not_there_is_reported():
     for line in ("make nothing", "pip install 'invdyn[nothing]'", "python benchmarks/cost.py --nothing", "ls"):
         assert not is_there(line)
     with pytest.raises(KeyError):
@@ -90,8 +90,8 @@ def test_a_block_without_a_language_holds_commands(page):
 @pytest.mark.parametrize("page", [*PAGES, *NOTEBOOKS], ids=lambda page: page.name)
 def test_a_command_in_a_sentence_names_what_there_is(page):
     kinds = ("invdyn ", "make ", "pip install 'invdyn", "pytest tests/")
-    told = [span for span in spans(page) if span.startswith(kinds) or re.match(r"python \S+\.py", span)]
-    assert [span for span in told if not is_there(span)] == []
+    named = [span for span in spans(page) if span.startswith(kinds) or re.match(r"python \S+\.py", span)]
+    assert [span for span in named if not is_there(span)] == []
 
 
 def test_commands_are_found_in_sentences():

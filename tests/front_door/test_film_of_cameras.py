@@ -1,4 +1,4 @@
-"""`invdyn infer` straight from the pixels of several cameras, and one line for whatever is wrong."""
+"""`invdyn infer` straight from the pixels of several cameras, and one line for any mistake."""
 
 from dataclasses import replace
 
@@ -141,7 +141,7 @@ BAD = {
     "too few rows": (("infer", *TRACKS, *CALL, "--frames", "3:4"), "at least 2 frames"),
     "over the tracks": (("infer", *TRACKS, *CALL[:-1], "cam1.csv"), "overwrite"),
     "over the calibration": (("infer", *TRACKS, *CALL[:-1], "calibration.toml"), "overwrite"),
-    "a diagnosis beside a log": (
+    "a diagnosis with a log": (
         ("diagnose", *TRACKS, *CALL[:-1], "report", "--held-out", "more.csv"),
         "`invdyn triangulate` makes them",
     ),

@@ -1,4 +1,4 @@
-"""`invdyn train` and `invdyn track`: files out, and one line for whatever is wrong."""
+"""`invdyn train` and `invdyn track`: files out, and one line for any mistake."""
 
 from importlib import import_module
 
@@ -132,7 +132,7 @@ def test_the_checkpoint_of_another_run(folder, run):
 INFER = ("infer", "f.mov", "--body", "arm.toml", "--tracker", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
 
 
-def test_infer_goes_all_the_way_from_a_film(folder, shared, run):
+def test_infer_reads_from_a_film(folder, shared, run):
     (folder / "arm.toml").write_text(stick(0.01))
     outcome = run(*INFER, "--method", "laplace", "--out", "arm.gif", "--filters", "2", "--particles", "8")
     assert outcome.exit_code == 0, outcome.output
@@ -191,7 +191,7 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
 
 
 def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
-    """Whatever the scale and the base: what was observed is drawn where it was tracked."""
+    """For any scale and base: what was observed is drawn where it was tracked."""
     idata = make_posterior(2, 80, frame_interval=1 / 30)
     observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     origin = 15 + np.cumsum(np.full((80, 2), 0.1), 0)

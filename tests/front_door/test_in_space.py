@@ -174,13 +174,13 @@ def test_a_body_without_points_is_refused(robot):
         load_recording("rec.csv", bare)
 
 
-def test_a_body_rests_where_it_hangs(robot):
-    """The boom hangs straight down, whatever the turret does, which gravity does not move."""
+def test_a_body_stays_where_it_hangs(robot):
+    """The boom hangs straight down at any angle of the turret, which gravity does not move."""
     _, lift = resting(robot)
     assert lift == pytest.approx(np.pi / 2, abs=1e-4)
 
 
-def test_what_gravity_does_not_move_rests_anywhere(robot):
+def test_what_gravity_does_not_move_stays_anywhere(robot):
     """A turret by itself: its energy is the same in every posture."""
     (pan,) = resting(Tree("turret", robot.links[:1]))
     assert np.isfinite(pan)

@@ -1,4 +1,4 @@
-"""`infer --kinematic`: motion and lengths, whatever is asked for but forces."""
+"""`infer --kinematic`: motion and lengths, and all outputs but forces."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def swinging(folder):
     return folder
 
 
-def test_it_writes_all_that_was_asked_for(swinging, run, contents):
+def test_it_writes_all_that_is_wanted(swinging, run, contents):
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", "--learn", "lengths",
                   "--method", "laplace", "--out", "f.png", "--out", "t.csv", *SMALL)  # fmt: skip
     assert outcome.exit_code == 0, outcome.output

@@ -105,7 +105,7 @@ def test_a_second_tab_is_merged_and_warned(browser, served):
     wait.until(lambda _: browser.find_element("id", "where").text == "Picture 1 of 2 (number 4)")
     # another tab's, while this one is open: the wrist here, and an elbow
     other = {"since": 0, "changes": [[0, 1, [30, 5], 0], [0, 0, [20, 5], 0]]}
-    assert json.loads(ask(f"{served.address}labels", json.dumps(other).encode())[1])["refused"] == []
+    assert json.loads(request(f"{served.address}labels", json.dumps(other).encode())[1])["refused"] == []
     click(10, 12)  # the elbow
     wait.until(lambda _: "elbow in picture 1 was changed elsewhere" in browser.find_element("id", "said").text)
     assert browser.find_element("id", "said").get_attribute("class") == "bad"
@@ -116,7 +116,7 @@ def test_a_second_tab_is_merged_and_warned(browser, served):
     np.testing.assert_allclose(read_labels(served.shared.path).points[1], [[10, 12], [30, 5]], atol=0.2)
 
 
-def ask(address, content=None, **headers):
+def request(address, content=None, **headers):
     try:
         with urllib.request.urlopen(urllib.request.Request(address, content, headers)) as answer:
             return answer.status, answer.read()
@@ -133,7 +133,7 @@ def test_the_server_takes_nothing_else(served):
     before = served.shared.path.read_bytes()
     labels = f"{served.address}labels"
     for length in ("x", "-1", "+2", "1_0", "", str(1 << 30), "9" * 5000):
-        assert ask(labels, b"[]", **{"Content-Length": length})[0] == 400
+        assert request(labels, b"[]", **{"Content-Length": length})[0] == 400
     for content in (
         b"",
         b"{}",
@@ -155,7 +155,7 @@ def test_the_server_takes_nothing_else(served):
         changes([0, 0, ["a", 2], 0]),
         changes([0, 0, [True, 2], 0]),
     ):
-        assert ask(labels, content)[0] == 400, content
+        assert request(labels, content)[0] == 400, content
     assert served.shared.path.read_bytes() == before
 
 
@@ -163,19 +163,19 @@ def test_the_server_takes_nothing_else(served):
 def test_half_points_and_points_outside_are_refused(served, point):
     before = served.shared.path.read_bytes()
     content = f'{{"since": 0, "changes": [[0, 0, {point}, 0]]}}'.encode()
-    status, words = ask(f"{served.address}labels", content)
+    status, words = request(f"{served.address}labels", content)
     assert (status, words[:16]) == (400, b"expected a point")
     assert served.shared.path.read_bytes() == before
     assert np.isnan(served.shared.points).all()
 
 
 def test_a_change_is_written_and_seen_by_others(served):
-    status, answer = ask(f"{served.address}labels", changes([0, 0, [1.5, 2], 0]))
+    status, answer = request(f"{served.address}labels", changes([0, 0, [1.5, 2], 0]))
     assert status == 200
     ((*place, point, version),) = json.loads(answer)["changed"]
     assert (place, point) == ([0, 0], [1.5, 2.0])
     assert read_labels(served.shared.path).frames.tolist() == [2, 4]
-    state = json.loads(ask(f"{served.address}state")[1])
+    state = json.loads(request(f"{served.address}state")[1])
     assert state["changed"] == [[0, 0, [1.5, 2.0], version]]
     assert state["revision"] == version
 
@@ -262,7 +262,7 @@ def test_one_connection_too_many_is_closed_at_once(served):
             each.close()
     while served.active:
         time.sleep(0.005)
-    assert ask(f"{served.address}state")[0] == 200
+    assert request(f"{served.address}state")[0] == 200
 
 
 def test_a_client_that_leaves_is_no_traceback(served, capfd):
@@ -281,12 +281,12 @@ def test_a_client_that_leaves_is_no_traceback(served, capfd):
                 connection.sendall(words.encode())
     while served.active:
         time.sleep(0.005)
-    assert ask(f"{served.address}state")[0] == 200
+    assert request(f"{served.address}state")[0] == 200
     assert capfd.readouterr().err == ""
 
 
 def test_different_pictures_are_chosen(tmp_path):
-    """Of long rests in three poses, one picture each; then what is labelled is left alone."""
+    """Of long pauses in three poses, one picture each; then what is labelled is left alone."""
     poses = [SHOULDER + np.array(each) for each in (((0, 10), (0, 19)), ((10, 0), (19, 0)), ((-10, 0), (-10, 9)))]
     order = [0] * 10 + [1] * 5 + [2] * 2
     film = Film(write_film(tmp_path / "f.mov", [picture(poses[i]) for i in order], np.arange(17) / 30))
@@ -302,7 +302,7 @@ def test_surprising_pictures_are_chosen(make_posterior):
     idata = make_posterior(2, 60, missing=True)
     usual = surprise(idata)
     observed = idata["observed_data"]["position"]
-    observed.loc[{"time": observed["time"][[10, 11, 40]]}] += 2.0  # strays
+    observed.loc[{"time": observed["time"][[10, 11, 40]]}] += 2.0  # outliers
     found = surprise(idata)
     assert set(np.argsort(-found)[:3]) == {10, 11, 40}
     same = np.delete(np.arange(60), [10, 11, 40])
@@ -313,7 +313,7 @@ def test_surprising_pictures_are_chosen(make_posterior):
     assert surprising(np.full(60, -np.inf), numbers, 2) == []
 
 
-def test_the_command_labels_and_goes_on(tmp_path, monkeypatch, run):
+def test_the_command_labels_and_continues(tmp_path, monkeypatch, run):
     swinging(tmp_path / "f.mov", 20)
     monkeypatch.chdir(tmp_path)
 

@@ -90,19 +90,19 @@ def test_there_are_many_of_them():
 
 
 @pytest.mark.parametrize("kind", CASES)
-def test_few_malformed_inputs_are_told_in_one_line(wrong, kind):
+def test_few_malformed_inputs_are_reported_in_one_line(wrong, kind):
     assert not _faults(wrong, SOME[kind][::5])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", CASES)
-def test_some_malformed_inputs_are_told_in_one_line(wrong, kind):
+def test_some_malformed_inputs_are_reported_in_one_line(wrong, kind):
     assert not _faults(wrong, SOME[kind])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
-def test_all_malformed_inputs_are_told_in_one_line(wrong, kind):
+def test_all_malformed_inputs_are_reported_in_one_line(wrong, kind):
     assert not _faults(wrong, CASES[kind])
 
 

@@ -49,10 +49,10 @@ def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
 def test_its_extras_are_those_that_can_be_installed():
     text = README.read_text("utf-8")
     known = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
-    (asked,) = re.findall(r'^python -m pip install -c constraints.txt -e "\.\[(.*)\]"$', text, re.MULTILINE)
-    assert set(asked.split(",")) <= set(known)
-    told = re.findall(r"`(\w+)`", text.split("Extras: ")[1].split("\n\n")[0])
-    assert set(told) == set(known) - {"dev", "docs"}
+    (installed,) = re.findall(r'^python -m pip install -c constraints.txt -e "\.\[(.*)\]"$', text, re.MULTILINE)
+    assert set(installed.split(",")) <= set(known)
+    listed = re.findall(r"`(\w+)`", text.split("Extras: ")[1].split("\n\n")[0])
+    assert set(listed) == set(known) - {"dev", "docs"}
 
 
 def test_it_is_short():

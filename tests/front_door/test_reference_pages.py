@@ -35,7 +35,7 @@ def test_an_entry_has_a_formula_parameters_and_what_brings_it_out(entries, name)
 
 
 def test_prose_is_no_formula():
-    assert not any(map(is_formula, "A camera that isn't level, 3 degrees (or so): turned about the frame's origin."))
+    assert not any(map(is_formula, "A camera that isn't level, 3 degrees (or so): rotated about the frame's origin."))
 
 
 def test_a_picture_shows_the_effect_of_the_formula(written):

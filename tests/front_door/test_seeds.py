@@ -26,7 +26,7 @@ def test_what_is_no_seed_is_not_repeated(text, tmp_path):
     assert not text or text not in str(refusal.value).replace(str(tmp_path), "")
 
 
-def test_a_seed_file_of_no_path_is_told():
+def test_a_seed_file_of_no_path_is_reported():
     with pytest.raises(OSError, match="no path may hold"):
         secret_seed(None, "a\0b", 7)
 

@@ -46,8 +46,8 @@ def test_torque_scale_is_the_torques_standard_deviation():
     torch.manual_seed(3)
     states, _ = model.simulate((2000,))
     torque = model.net_torque(states)
-    spread = torque.std(dim=0)  # at each frame, over 2000 arms
-    assert (spread - 0.7).abs().max() < 4.5 * 0.7 / math.sqrt(2 * 2000)
+    sd = torque.std(dim=0)  # at each frame, over 2000 arms
+    assert (sd - 0.7).abs().max() < 4.5 * 0.7 / math.sqrt(2 * 2000)
 
 
 def test_a_command_is_the_whole_torque():

@@ -1,4 +1,4 @@
-"""`--torque`: a process by name, or the likeliest."""
+"""`--torque`: a process by name, or the most probable."""
 
 import json
 
@@ -10,7 +10,7 @@ SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
 
 
 @pytest.mark.long
-def test_the_likeliest_is_taken_and_told(folder, run):
+def test_the_most_probable_is_taken_and_named(folder, run):
     run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40", "--encoders", "1e-4")
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "auto", *SMALL)
     assert outcome.exit_code == 0, outcome.output

@@ -67,8 +67,8 @@ def test_a_trackers_file_becomes_the_arms_tips(folder, kind, group):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = group(recordings=[file], body="arm.toml", **options).load()[0]["recording"]
-    told = [str(each.message) for each in caught if each.category is UserWarning]
-    assert told == (["coordinate z is 0 throughout: left out"] if kind == "trc" else [])
+    said = [str(each.message) for each in caught if each.category is UserWarning]
+    assert said == (["coordinate z is 0 throughout: left out"] if kind == "trc" else [])
     assert recording.keypoint_names == NAMES[1:]
     np.testing.assert_allclose(recording.keypoints, places((0, 0))[:, 1:], atol=1e-9)
     np.testing.assert_allclose(recording.time, TIME, atol=1e-12)

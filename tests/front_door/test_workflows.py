@@ -48,8 +48,8 @@ def test_tests_run_on_three_systems_and_the_versions_that_are_allowed():
 
 def test_the_version_is_one():
     cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)[1]
-    told = re.findall(r"^## \[(\d\S*)\]", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
-    assert PROJECT["version"] == cited == told[0]
+    listed = re.findall(r"^## \[(\d\S*)\]", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert PROJECT["version"] == cited == listed[0]
 
 
 @pytest.mark.skipif(not (shutil.which("bash") and shutil.which("sed")), reason="the step is a line for bash")
