@@ -23,6 +23,21 @@ from .options import (
 )
 from .settings import Setting
 
+READING = (
+    "units",
+    "fps",
+    "format",
+    "base",
+    "individual",
+    "plane",
+    "calibration",
+    "offset",
+    "tracker",
+    "person",
+    "mapping",
+)
+"""Options of how to read files, under the names that readers have."""
+
 
 @dataclass(frozen=True)
 class Recorded:
@@ -112,12 +127,9 @@ class Recorded:
     @property
     def reading(self) -> dict[str, Any]:
         """Options of how to read files, by the names that readers have."""
-        names = ("units", "fps", "format", "base", "individual", "plane", "calibration", "offset")
-        names += ("tracker", "person", "mapping")
-        return {name: getattr(self, name) for name in names} | {
-            "scale": self.metres_a_pixel,
-            "episodes": None if self.episodes == "0" else self.episodes,
-        }
+        episodes = None if self.episodes == "0" else self.episodes
+        own = {name: getattr(self, name) for name in READING}
+        return own | {"scale": self.metres_a_pixel, "episodes": episodes}
 
     def read_body(self, *, filmed: bool) -> Any:
         """The body, of as many dimensions as the recording shows of a robot's file; see `inputs.load_body`."""

@@ -85,23 +85,26 @@ def load_recording(
         InputError: the file, or the file together with the body, makes no sense.
         OSError: the file cannot be opened.
     """
+    if isinstance(scale, str) and scale != BODY:
+        raise InputError(f"scale: expected metres a pixel, or {BODY!r}, got {scale!r}")
+    unscaled = scale == BODY
+    options["scale"] = None if unscaled else scale
     read = _in_plane if body.space == 2 else _in_space
-    recording, length = read(name, body, base, scale, as_filmed, options)
+    recording, length = read(name, body, base, unscaled, as_filmed, options)
     with about(name):
-        check_fits(recording, body, parse_units(options.get("units")), guessed or scale == BODY)
+        check_fits(recording, body, parse_units(options.get("units")), guessed or unscaled)
         rows = frame_range(frames)
         return bridged(recording.at(rows), length, rows.indices(recording.num_frames)[0])
 
 
 def _in_plane(
-    name: str, body: Any, base: str | None, scale: float | str | None, as_filmed: bool, options: dict[str, Any]
+    name: str, body: Any, base: str | None, unscaled: bool, as_filmed: bool, options: dict[str, Any]
 ) -> tuple[Recording, float]:
     """The recording of a chain in the plane, and the chain's length."""
     options = options | {"plane": options.get("plane") or FLAT, "joints": body.joint_names}
-    options["scale"] = None if scale == BODY else scale
     total = sum(link.nominal("length") for link in body.links)
     units = parse_units(options.get("units"))
-    stated = any((base, scale, units.length, units.angle))
+    stated = any((base, unscaled, options["scale"], units.length, units.angle))
     in_frame = as_filmed and not stated and _is_own(name, options.get("format"))
     base, tips = base or body.base_keypoint, body.keypoint_names
     if in_frame:
@@ -112,7 +115,7 @@ def _in_plane(
                 name, strange[0], known, [tip for tip in known if tip not in recording.keypoint_names]
             )
         recording = recording.with_keypoints([tip for tip in tips if tip in recording.keypoint_names])
-    elif scale == BODY:
+    elif unscaled:
         recording = load(name, keypoints=(base, *tips), base=base, **options)
         recording = in_body_lengths(recording, length=total).with_keypoints(tips)
         if recording.length_unit == "m":
@@ -133,7 +136,7 @@ def _in_plane(
 
 
 def _in_space(
-    name: str, body: Any, base: str | None, scale: float | str | None, as_filmed: bool, options: dict[str, Any]
+    name: str, body: Any, base: str | None, unscaled: bool, as_filmed: bool, options: dict[str, Any]
 ) -> tuple[Recording, float]:
     """The recording of some sites of a body in space, of its joints, or both, and the body's reach.
 
@@ -141,12 +144,12 @@ def _in_space(
     """
     if options.get("plane"):
         raise InputError(f"body '{body.name}' moves in space: leave plane out, which is for one that moves in a plane")
-    if scale == BODY:
+    if unscaled:
         raise InputError("--scale body is for a chain in the plane: give a recording in space its --units")
     if not body.keypoint_names:
         raise InputError(f"body '{body.name}' names no point: give its last link a tip, or a site, for what is drawn")
     own_file = _is_own(name, options.get("format"))
-    recording = load(name, joints=body.joint_names, base=base, scale=scale, shifting=slides(body), **options)
+    recording = load(name, joints=body.joint_names, base=base, shifting=slides(body), **options)
     points, sites = recording.keypoint_names, body.keypoint_names
     if points and recording.keypoints.shape[-1] != 3:
         raise InputError(
