@@ -13,7 +13,7 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent / "tests"))
 
-from source_imports import FILES, IMPORTS, ROOMS, inner_room, room_of  # noqa: E402
+from test_imports import FILES, ROOMS, imported, inner_room, room_of  # noqa: E402
 
 PICTURE = DOCS / "architecture.svg"
 WIDTH, MARGIN, GAP, BOX = 1000, 16, 34, 30
@@ -29,7 +29,8 @@ def arrows() -> tuple[dict[str, set[str]], dict[str, dict[str, set[str]]]]:
     """What each room imports of others; and within each room, what each of its own rooms does."""
     between: dict[str, set[str]] = {room: set() for room in ROOMS}
     within: dict[str, dict[str, set[str]]] = {room: {} for room in ROOMS}
-    for name, others in IMPORTS.items():
+    for name, path in FILES.items():
+        others = imported(name, ast.parse(path.read_text("utf-8")))
         room, inner = room_of(name), inner_room(name)
         if inner is not None:
             within[room].setdefault(inner, set())
