@@ -7,7 +7,7 @@ from invdyn.diagnosis.check.check import Check
 
 WIDTH, INDENT = 100, " " * 11
 """Columns of a line, and of its continuation."""
-KNOWN, MOST = 0.2, 8
+MAX_KNOWN_SD, MAX_LISTED = 0.2, 8
 """Relative sd under which a number is known, and how many of a kind are listed."""
 
 
@@ -24,10 +24,10 @@ def check_text(found: Check) -> str:
         parts = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in found.by_joint.items())
         lines.append(f"torques    what the body and friction leave of their size: {parts}")
     if found.excited:
-        known = [each for each in found.excited if each.value and each.sd < KNOWN * abs(each.value)]
+        known = [each for each in found.excited if each.value and each.sd < MAX_KNOWN_SD * abs(each.value)]
         weak = [each for each in found.excited if each not in known and each.value]
-        lines += [f"excited    {e.words}: to {100 * e.sd / abs(e.value):.2g} %" for e in known[:MOST]]
-        lines += [f"weak       {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in weak[:MOST]]
+        lines += [f"excited    {e.words}: to {100 * e.sd / abs(e.value):.2g} %" for e in known[:MAX_LISTED]]
+        lines += [f"weak       {e.words}: no better than {100 * e.sd / abs(e.value):.0f} %" for e in weak[:MAX_LISTED]]
     if (shown := found.visible) is not None:
         names = [name for name in shown.dprime if name not in shown.hidden]
         long = [f"would show {len(names)} effects of {len(shown.dprime)}: {_by_effect(names) or 'none'}"]

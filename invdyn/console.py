@@ -28,7 +28,7 @@ from .renamed_options import with_new_names
 BAD_INPUT, READER_LEFT, NOT_PRINTED, INTERRUPTED = 2, 1, 74, 130
 WORDS = "invdyn.words"  # where a context keeps the command line
 MODEL = re.compile(r".+\.py:\w+")
-LONGEST = 1500  # characters of a message
+MAX_CHARACTERS = 1500  # characters of a message
 # typer does not export click's UsageError (unknown option, wrong type, missing argument), only a child of it
 UsageError: Any = typer.BadParameter.__base__
 
@@ -173,8 +173,8 @@ def print_line(kind: str, message: object) -> None:
     """Print one line that a terminal can show, also of names and contents of files; a long one loses its middle."""
     line = " ".join(str(message).split())
     line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
-    if len(line) > LONGEST:
-        line = f"{line[: 2 * LONGEST // 3]} … {line[-LONGEST // 3 :]}"
+    if len(line) > MAX_CHARACTERS:
+        line = f"{line[: 2 * MAX_CHARACTERS // 3]} … {line[-MAX_CHARACTERS // 3 :]}"
     with suppress(OSError):  # no error can be printed, either
         typer.echo(f"{kind}: {line}", err=True)
 

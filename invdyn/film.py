@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 FILM_SUFFIXES = (".gif", ".mp4")
 FRAMES_PER_SECOND = 35  # at most; faster recordings show every second, third … frame
-MOST_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
+MAX_SHOWN_FRAMES = 750  # longer recordings show fewer frames a second, at the same speed
 ARMS = 30  # posterior draws shown as pale arms
 VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
 """Of each number of coordinates: which two each picture shows."""
@@ -91,7 +91,7 @@ def shown_frames(time: np.ndarray) -> np.ndarray:
     """Indices of the frames that the film shows, evenly spaced; time (T,) s."""
     rate = 1 / np.median(np.diff(time))
     # a rate of 35.0001 is not worth dropping every second frame
-    stride = max(1, round(rate / FRAMES_PER_SECOND + 0.49), -(-len(time) // MOST_FRAMES))
+    stride = max(1, round(rate / FRAMES_PER_SECOND + 0.49), -(-len(time) // MAX_SHOWN_FRAMES))
     return np.arange(0, len(time), stride)
 
 

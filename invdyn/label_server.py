@@ -39,7 +39,7 @@ MAX_MESSAGE = 1 << 24
 """Bytes of a request's content."""
 MAX_CONNECTIONS = 32
 """At once; a browser opens some six."""
-IDLE, LONGEST = 10.0, 60.0
+MAX_IDLE_SECONDS, MAX_SECONDS = 10.0, 60.0
 """Seconds after which a connection ends that sends nothing, and one that sends slowly."""
 HEADERS = {
     "Cache-Control": "no-store",
@@ -149,8 +149,8 @@ class LabelServer(ThreadingHTTPServer):
             super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve it, for no longer than ``LONGEST``."""
-        end = threading.Timer(LONGEST, _hang_up, [request])
+        """Serve it, for no longer than ``MAX_SECONDS``."""
+        end = threading.Timer(MAX_SECONDS, _hang_up, [request])
         end.daemon = True
         end.start()
         try:
@@ -186,7 +186,7 @@ class LabelServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: LabelServer
-    timeout = IDLE
+    timeout = MAX_IDLE_SECONDS
 
     def do_GET(self) -> None:
         """Page, state, pictures."""

@@ -7,7 +7,7 @@ import typer
 
 from .settings import Setting
 
-LARGEST_SEED = 2**63 - 1  # what torch and netCDF can hold
+MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
 MAX_WORKERS = 1024
 
 BodyFile = Annotated[
@@ -46,7 +46,7 @@ Processes = Annotated[
         "--workers", min=1, max=MAX_WORKERS, help="Processes, with the same result (on Linux; one elsewhere)."
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Same seed, same result.")]
+Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same result.")]
 Checkpoint = Annotated[
     Path | None, typer.Option(help="Folder that keeps what is done; the same call continues from there.")
 ]

@@ -17,7 +17,7 @@ from invdyn.recordings import InputError, Recording, read_keypoint_csv
 from invdyn.recordings.reading import TrackedFilm
 from invdyn.recordings.tracking.film import Film, read_pictures
 
-LONGEST = 720  # px of the pictures' longer side, as drawn
+MAX_SIDE = 720  # px of the pictures' longer side, as drawn
 
 
 class Overlay:
@@ -62,7 +62,7 @@ class Overlay:
 
     def pictures(self, rows: np.ndarray) -> Iterator[np.ndarray]:
         """RGB (h, w, 3) of rows, rising; some are scaled down. Raises InputError when the film is shorter."""
-        factor = min(1.0, LONGEST / max(self.size))
+        factor = min(1.0, MAX_SIDE / max(self.size))
         size = round(factor * self.size[0]), round(factor * self.size[1])
         numbers = self._numbers[rows]
         own, again = np.unique(numbers, return_counts=True)  # rows that bridge a gap may share a picture

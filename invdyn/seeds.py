@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-LARGEST_SEED = 2**63 - 2**20
+MAX_FIRST_SEED = 2**63 - 2**20
 """Seeds of a run's cases lie behind its own."""
 
 
@@ -33,7 +33,7 @@ def _seed(text: str, where: str) -> int:
     from invdyn.recordings import InputError
 
     text = text.strip()
-    if not text.isascii() or not text.isdigit() or len(text) > 19 or int(text) > LARGEST_SEED:
+    if not text.isascii() or not text.isdigit() or len(text) > 19 or int(text) > MAX_FIRST_SEED:
         # what came is not repeated: it may be the seed but for a slip
-        raise InputError(f"{where}: expected a seed, one whole number from 0 to {LARGEST_SEED}, got something else")
+        raise InputError(f"{where}: expected a seed, one whole number from 0 to {MAX_FIRST_SEED}, got something else")
     return int(text)

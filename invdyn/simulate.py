@@ -22,7 +22,7 @@ from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
-MOST_FRAMES = 1_000_000  # nine hours of film
+MAX_FRAMES = 1_000_000  # nine hours of film
 GENTLE = 0.15  # share of the torque that holds the body level: it swings; with twice that it whirls
 
 PAPER: dict[str, Any] = {  # options of `infer` for the paper's planar arm: explicit Euler, torque noise as printed
@@ -117,9 +117,9 @@ def random_arm(
     }.items():
         if value is not None and not 0 <= value <= largest:
             raise InputError(f"{name} must be a number from 0 to {largest:g}, got {value:g}")
-    if duration * fps > MOST_FRAMES:
+    if duration * fps > MAX_FRAMES:
         raise InputError(
-            f"{duration:g} s at {fps:g} frames a second are {duration * fps:.3g} frames; at most {MOST_FRAMES} are made"
+            f"{duration:g} s at {fps:g} frames a second are {duration * fps:.3g} frames; at most {MAX_FRAMES} are made"
         )
     num_frames = round(duration * fps)
     if num_frames < 2:

@@ -45,7 +45,7 @@ def quantity_table(idata: az.InferenceData, quantity: str) -> pd.DataFrame:
     return table
 
 
-FEWEST_DRAWS = 20
+MIN_DRAWS = 20
 """Independent draws of which one lies beyond each end of a 90 % band; of fewer its ends say nothing."""
 
 
@@ -64,10 +64,10 @@ def independent_draws(idata: az.InferenceData) -> float:
 def _too_few(idata: az.InferenceData) -> list[str]:
     """A warning where the draws are too few for bands; none of a method that gives one path and no bands."""
     draws = independent_draws(idata)
-    if draws >= FEWEST_DRAWS or idata.attrs["method"] == "differentiate":
+    if draws >= MIN_DRAWS or idata.attrs["method"] == "differentiate":
         return []
     return [
-        f"warning: bands of {FEWEST_DRAWS} independent draws or more mean something, these rest on {draws:.2g}: "
+        f"warning: bands of {MIN_DRAWS} independent draws or more mean something, these rest on {draws:.2g}: "
         "raise --filters, --particles or --draws"
     ]
 

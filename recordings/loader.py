@@ -19,7 +19,7 @@ from .recording import Recording
 from .units import FRAMES, Units, parse_units, to_si
 from .zero_likelihood import without_zeros
 
-SLOWEST, FASTEST = 1e-3, 1e6  # frames a second
+MIN_RATE, MAX_RATE = 1e-3, 1e6  # frames a second
 
 
 def load(
@@ -112,8 +112,8 @@ def read_file(
             raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
-        if fps is not None and not SLOWEST <= fps <= FASTEST:
-            raise InputError(f"--fps must be positive, from {SLOWEST:g} to {FASTEST:g} frames a second, got {fps:g}")
+        if fps is not None and not MIN_RATE <= fps <= MAX_RATE:
+            raise InputError(f"--fps must be positive, from {MIN_RATE:g} to {MAX_RATE:g} frames a second, got {fps:g}")
         if kind in ("nexus", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if not form.animals and individual is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from .errors import InputError
 from .recording import Recording
 
-TOGETHER = 1e-6
+SAME_TIME = 1e-6
 """s between rows that are one."""
 
 
@@ -23,7 +23,7 @@ def merge_log_and_camera(log: Recording, film: Recording, ahead: float = 0.0) ->
     if not film.keypoint_names:
         raise InputError(f"{film.name}: expected keypoints to merge with a log, it has none")
     own = film.time - ahead
-    within = (own >= log.time[0] - TOGETHER) & (own <= log.time[-1] + TOGETHER)
+    within = (own >= log.time[0] - SAME_TIME) & (own <= log.time[-1] + SAME_TIME)
     if within.sum() < 2:
         raise InputError(
             f"{film.name}: runs from {own[0]:.4g} to {own[-1]:.4g} s on the log's clock, the log from "
@@ -31,8 +31,8 @@ def merge_log_and_camera(log: Recording, film: Recording, ahead: float = 0.0) ->
         )
     film, own = film.at(within), own[within]
     # a picture that comes with a row of the log is that row's
-    near = np.searchsorted(log.time, own - TOGETHER).clip(0, len(log.time) - 1)
-    own = np.where(np.abs(log.time[near] - own) <= TOGETHER, log.time[near], own)
+    near = np.searchsorted(log.time, own - SAME_TIME).clip(0, len(log.time) - 1)
+    own = np.where(np.abs(log.time[near] - own) <= SAME_TIME, log.time[near], own)
     time = np.union1d(log.time, own)
     logged, filmed = np.searchsorted(time, log.time), np.searchsorted(time, own)
     angles = np.full((len(time), log.angles.shape[1]), np.nan)

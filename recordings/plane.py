@@ -16,7 +16,7 @@ from .recording import Recording
 
 FLAT = "flat"
 """The plane of the two axes that are left when a constant one is taken out."""
-CONSTANT = 1e-6
+CONSTANT_RANGE = 1e-6
 """Of the largest range, what a constant coordinate may vary by: the digits of a file, no camera's noise."""
 PLANES = tuple("".join(axes) for axes in permutations("xyz", 2))
 Axes = Mapping[str, tuple[int, float]]
@@ -67,7 +67,7 @@ def in_space(recording: Recording) -> bool:
 def _constant(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, float], list[str]]:
     """Each axis's range, and the axes that are constant."""
     ranges = {axis: float(np.nanmax(values) - np.nanmin(values)) for axis, values in columns.items()}
-    return ranges, [axis for axis, size in ranges.items() if size <= CONSTANT * max(ranges.values())]
+    return ranges, [axis for axis, size in ranges.items() if size <= CONSTANT_RANGE * max(ranges.values())]
 
 
 def _moving(columns: Mapping[str, np.ndarray]) -> str:

@@ -12,12 +12,12 @@ import numpy as np
 
 from .errors import InputError
 
-LARGEST = 1e7
+MAX_VALUE = 1e7
 """Of any coordinate, angle, torque or confidence, in its own unit: m, px, rad, deg, N·m. A film has 10⁴ pixels, a map
 of a country 10⁷ metres; what is larger is no measurement, and its powers leave a float's range."""
-LARGEST_TIME = 1e20
+MAX_TIME = 1e20
 """s; nanoseconds since 1970 are 2 · 10¹⁸."""
-SHORTEST_STEP = 1e-7
+MIN_STEP = 1e-7
 """s between two rows, a hundred times faster than any sensor of an arm."""
 
 
@@ -31,7 +31,7 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
     if (bad := ~np.isfinite(time)).any():
         first = int(bad.argmax())
         raise InputError(f"time is {time[first]} at {where(first)}: every row needs a finite time, in seconds")
-    check_range("time", time, where, LARGEST_TIME)
+    check_range("time", time, where, MAX_TIME)
     step = np.diff(time)
     if (step <= 0).any():
         first = int((step <= 0).argmax()) + 1
@@ -40,15 +40,15 @@ def check_time(time: np.ndarray, where: Callable[[int], str] = "frame {}".format
             f"time {kind} at {where(first)} ({time[first - 1]:g} s, then {time[first]:g} s): "
             "times must increase; drop or sort the rows"
         )
-    if (step < SHORTEST_STEP).any():
-        first = int((step < SHORTEST_STEP).argmax()) + 1
+    if (step < MIN_STEP).any():
+        first = int((step < MIN_STEP).argmax()) + 1
         raise InputError(
             f"time advances by {step[first - 1]:.3g} s at {where(first)}, too little for a row of its own: "
             "drop the row, or give times in seconds"
         )
 
 
-def check_range(what: str, values: np.ndarray, where: Callable[[int], str], largest: float = LARGEST) -> None:
+def check_range(what: str, values: np.ndarray, where: Callable[[int], str], largest: float = MAX_VALUE) -> None:
     """Raise InputError unless all numbers of `values` (T, …) lie within ±`largest`; NaN is missing."""
     if (beyond := np.abs(values) > largest).any():
         frame, *_ = place = tuple(np.argwhere(beyond)[0])
@@ -77,7 +77,7 @@ class Recording:
 
     Raises:
         InputError: shapes or names that do not fit, fewer than two frames, times that are not finite and
-            increasing, values that are infinite or beyond `LARGEST`, or nothing observed at all.
+            increasing, values that are infinite or beyond `MAX_VALUE`, or nothing observed at all.
     """
 
     time: np.ndarray

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, about
-from ..merge_log_and_camera import TOGETHER
+from ..merge_log_and_camera import SAME_TIME
 from ..recording import Recording
 from .lerobot import read_lerobot
 from .mapping import BY_NAME, LogMap, Source
@@ -24,7 +24,7 @@ LOG_FORMATS: dict[str, Callable[[Path, str | None, Needed | None], list[Episode]
 }
 
 
-LONGEST_PAUSE = 1e7
+MAX_PAUSE = 1e7
 """Usual steps between two rows, at most: 55 h at 50 rows/s."""
 
 
@@ -96,16 +96,16 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
     if all(each is None for each in angles):
         raise InputError("expected angles of the joints, the mapping names none")
     rows = np.unique(np.concatenate([each.time for each in (*angles, *torques, *targets) if each is not None]))
-    rows = rows[np.append(True, np.diff(rows) > TOGETHER)]
+    rows = rows[np.append(True, np.diff(rows) > SAME_TIME)]
     _check_pause(rows)
     commands = [each for each in (*torques, *targets) if each is not None]
     # before the first command the torque is unknown
     begin = max((float(each.time[0]) for each in commands), default=rows[0])
-    rows = rows[rows >= begin - TOGETHER]
+    rows = rows[rows >= begin - SAME_TIME]
     nothing = np.full(len(rows), np.nan)
 
     def columns(found: list[Track | None], last: bool) -> np.ndarray:
-        made = [nothing if t is None else t.held(rows + TOGETHER) if last else _near(t, rows) for t in found]
+        made = [nothing if t is None else t.held(rows + SAME_TIME) if last else _near(t, rows) for t in found]
         return np.stack(made, -1)
 
     recording = Recording(
@@ -123,7 +123,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
 def _check_pause(rows: np.ndarray) -> None:
     """Raise InputError where times (N,) jump as no log's do: two clocks, or a time that is none."""
     steps = np.diff(rows)
-    if len(steps) and steps.max() > LONGEST_PAUSE * (usual := float(np.median(steps))):
+    if len(steps) and steps.max() > MAX_PAUSE * (usual := float(np.median(steps))):
         at = int(steps.argmax())
         raise InputError(
             f"its times jump from {rows[at]:.6g} to {rows[at + 1]:.6g}, in usual steps of {usual:.3g}: expected one "
@@ -133,5 +133,5 @@ def _check_pause(rows: np.ndarray) -> None:
 
 def _near(each: Track, rows: np.ndarray) -> np.ndarray:
     """The values of a track in the rows that are its own."""
-    place = np.searchsorted(each.time, rows - TOGETHER).clip(0, len(each.time) - 1)
-    return np.where(np.abs(each.time[place] - rows) <= TOGETHER, each.values[place], np.nan)
+    place = np.searchsorted(each.time, rows - SAME_TIME).clip(0, len(each.time) - 1)
+    return np.where(np.abs(each.time[place] - rows) <= SAME_TIME, each.values[place], np.nan)

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from invdyn.film import FRAMES_PER_SECOND, MOST_FRAMES, film_frames, save_film, shown_frames
+from invdyn.film import FRAMES_PER_SECOND, MAX_SHOWN_FRAMES, film_frames, save_film, shown_frames
 from invdyn.plots import VERMILION
 from invdyn.recordings import InputError
 
@@ -45,7 +45,7 @@ def test_background_is_white_and_stays(make_posterior, tmp_path):
 def test_a_fast_or_long_recording_shows_fewer_frames_at_the_same_speed():
     fast = shown_frames(np.arange(300) / 100)
     assert 100 / (fast[1] - fast[0]) <= FRAMES_PER_SECOND
-    assert len(shown_frames(np.arange(10_000) / 30)) <= MOST_FRAMES
+    assert len(shown_frames(np.arange(10_000) / 30)) <= MAX_SHOWN_FRAMES
     np.testing.assert_array_equal(shown_frames(np.arange(90) / 30), np.arange(90))
     np.testing.assert_array_equal(shown_frames(0.03 * np.arange(90)), np.arange(90))
 

@@ -232,7 +232,7 @@ def test_another_host_or_page_reaches_nothing(served):
     assert raw(served, labels, own, length, f"Origin: http://127.0.0.1:{port}", content=content) == 200
 
 
-@pytest.mark.parametrize("limit", ["LONGEST", "_Handler.timeout"])
+@pytest.mark.parametrize("limit", ["MAX_SECONDS", "_Handler.timeout"])
 def test_a_connection_that_sends_nothing_is_ended(served, monkeypatch, limit):
     monkeypatch.setattr(f"invdyn.label_server.{limit}", 0.2)
     with socket.create_connection(("127.0.0.1", served.server_port)) as connection:
@@ -242,7 +242,7 @@ def test_a_connection_that_sends_nothing_is_ended(served, monkeypatch, limit):
 
 def test_a_connection_that_sends_slowly_is_ended(served, monkeypatch):
     """Each byte is in time, and their sum is not."""
-    monkeypatch.setattr("invdyn.label_server.LONGEST", 0.2)
+    monkeypatch.setattr("invdyn.label_server.MAX_SECONDS", 0.2)
     with socket.create_connection(("127.0.0.1", served.server_port)) as connection, suppress(ConnectionError):
         while True:  # until the server's end is closed, and says so by a reset
             connection.sendall(b"a")

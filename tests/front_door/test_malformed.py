@@ -22,13 +22,16 @@ pytest.importorskip("safetensors")
 CASES = defaultdict(list)
 for one in all_cases():
     CASES[one.kind].append(one)
-MOST = 40
+MAX_SAMPLED = 40
 """Of each kind so many are tried each time, drawn once and for all; `pytest -m slow` tries all."""
 COSTLY = {"least and most": 4, "number in a track": 8}
 COSTLY |= dict.fromkeys(("posterior", "number in a recording", "name in a body", "count in an option"), 12)
 COSTLY |= dict.fromkeys(("calibration", "path of a calibration", "option of cameras"), 15)
 """Kinds of which many inputs are fine, so that inference runs or a figure is drawn."""
-SOME = {kind: random.Random(0).sample(cases, min(len(cases), COSTLY.get(kind, MOST))) for kind, cases in CASES.items()}
+SAMPLED = {
+    kind: random.Random(0).sample(cases, min(len(cases), COSTLY.get(kind, MAX_SAMPLED)))
+    for kind, cases in CASES.items()
+}
 
 
 @pytest.fixture(scope="module")
@@ -86,18 +89,18 @@ def _fault(outcome, before, after):
 
 
 def test_there_are_many_of_them():
-    assert len({(case.kind, case.what, case.arguments) for cases in SOME.values() for case in cases}) >= 500
+    assert len({(case.kind, case.what, case.arguments) for cases in SAMPLED.values() for case in cases}) >= 500
 
 
 @pytest.mark.parametrize("kind", CASES)
 def test_few_malformed_inputs_are_reported_in_one_line(wrong, kind):
-    assert not _faults(wrong, SOME[kind][::5])
+    assert not _faults(wrong, SAMPLED[kind][::5])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", CASES)
 def test_some_malformed_inputs_are_reported_in_one_line(wrong, kind):
-    assert not _faults(wrong, SOME[kind])
+    assert not _faults(wrong, SAMPLED[kind])
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_later_changes_of_the_callers_array_do_not_reach_it():
         ({"keypoints": np.full((4, 2, 2), np.inf)}, "keypoints is infinite at frame 0"),
         ({"torques": np.full((4, 2), -np.inf)}, "torques is infinite"),
         ({"keypoints": np.full((4, 2, 2), 1e8)}, r"keypoints is 1e\+08 at frame 0: expected numbers up to 1e\+07"),
-        ({"time": [0.0, 1e-9, 0.1, 0.2]}, "goes on by 1e-09 s at frame 1"),
+        ({"time": [0.0, 1e-9, 0.1, 0.2]}, "advances by 1e-09 s at frame 1"),
         ({"time": [0.0, 0.1, 0.2, 1e300]}, r"time is 1e\+300 at frame 3"),
         ({"keypoints": np.full((4, 2, 2), np.nan), "angles": None}, "nothing is observed"),
         ({"confidence": np.zeros(4)}, "confidence must have shape"),
