@@ -20,7 +20,7 @@ from ablation import filed
 
 from invdyn.diagnosis.hypotheses.add import _refined, screened_with
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.expected_gain import RIVAL, UNEXPLAINED, needed
+from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.search import _begun
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
@@ -99,7 +99,7 @@ def kept(rows: list[dict]) -> str:
         some = [c for c in row["cands"] if c["r"] is not None and all(c["plaus"])]
         top, most = max((c["r"] for c in some), default=0.0), max((c["s"] for c in row["cands"]), default=0.0)
         explained = any(c["done"] and c["r"] > top - NEAR for c in some)
-        least = needed(most, RIVAL if explained else UNEXPLAINED)
+        least = needed(most, explained=explained)
         near += [c["s"] >= least for c in some if c["r"] > max(top - NEAR, NEAR)]
     return f"Of {len(near)} candidates that end within {NEAR:g} nats of the best one, {sum(near)} are refined."
 

@@ -5,5 +5,15 @@ from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.diagnose import diagnose, save
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
+from invdyn.diagnosis.rules import Rules
 
-__all__ = ["Diagnosis", "DiagnosisProblem", "check_before", "diagnose", "diagnosis_problem", "save", "search"]
+__all__ = [
+    "Diagnosis",
+    "DiagnosisProblem",
+    "Rules",
+    "check_before",
+    "diagnose",
+    "diagnosis_problem",
+    "save",
+    "search",
+]

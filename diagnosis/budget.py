@@ -18,18 +18,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel
 
 T = TypeVar("T")
-
-PASSES = 11000.0
-"""A row, by default, of 1,000 rows at least: 102 to 213 s of CPU for those in nine logs (benchmarks/README.md)."""
-SHORT = 1000
-"""Rows: a shorter recording may take as much work as one of so many; nearly all need less."""
-GAP = 10.0
-"""Times as long as other models one with play takes, whose gap is worked out row by row."""
-SEARCH = 0.75
-"""Of the budget that the search may take; the rest is for what is said of its causes."""
 
 
 class Spent(Exception):
@@ -88,7 +80,7 @@ class Budget:
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
         plain = model.torque_size + 2 * model.body.num_joints
-        passes *= GAP if model.jumping is not None else 1.0
+        passes *= FIXED.rowwise_cost if model.jumping is not None else 1.0
         self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":

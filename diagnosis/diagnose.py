@@ -23,9 +23,8 @@ from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weig
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
-from invdyn.diagnosis.budget import PASSES, SHORT, Budget
+from invdyn.diagnosis.budget import Budget
 from invdyn.diagnosis.check.before import check_before
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.engine_steps import search_either
@@ -36,9 +35,9 @@ from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
-from invdyn.diagnosis.problem.prior import MOST_EFFECTS
 from invdyn.diagnosis.problem.thinned import left_out
 from invdyn.diagnosis.report.report import render
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
 from invdyn.inference.execution.checkpoint import Checkpoint
@@ -58,11 +57,12 @@ def diagnose(
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
     without: Sequence[str] = (),
-    most: int = MOST_EFFECTS,
+    most: int | None = None,
     seed: int = 0,
     workers: int = 1,
     budget: float | None = None,
-    tolerance: float = RULE.tolerance,
+    tolerance: float | None = None,
+    rules: Rules = DEFAULT,
     checked: bool = False,
     force: bool = False,
     progress: Progress | None = None,
@@ -78,14 +78,16 @@ def diagnose(
             third of ``recording``.
         passive: the torque is known to be zero.
         without: names of effects to leave out of the catalogue.
-        most: effects at once, at most. More take longer, and may imitate what the catalogue lacks.
+        most: effects at once, at most; by default `rules.search.max_effects`. More take longer, and may imitate what
+            the catalogue lacks.
         seed: same seed, same result, whatever the number of workers.
         workers: processes that may work side by side; this one is one of them.
         budget: seconds after which no more candidate is begun, three quarters of them for the search; the fit without
             any effect and what is said of the causes come on top. The result then depends on the machine. By default
             the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
-            nor does what a cause leaves.
+            nor does what a cause leaves; by default `rules.evidence.tolerance`.
+        rules: the numbers that the diagnosis follows: `Rules().replace(temper_scale=500)`.
         checked: somebody has asked :func:`.check_before` of each recording. Else it is asked here: it refuses what is
             surely a mistake in the recording, and warns of what may be one.
         force: go on where a mistake in the recording is sure: it is warned of, and not refused.
@@ -121,8 +123,12 @@ def diagnose(
     for name in without:
         if name not in EFFECTS:
             raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
+    given = {"max_effects": most, "tolerance": tolerance}
+    rules = rules.replace(**{name: value for name, value in given.items() if value is not None})
+    most, tolerance = rules.search.max_effects, rules.evidence.tolerance
     if most < 1:
-        raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {MOST_EFFECTS}")
+        usual = DEFAULT.search.max_effects
+        raise InputError(f"expected one effect at once or more, got at most {most}: leave most out for {usual}")
     if not 0 <= tolerance < 1:
         raise InputError(f"expected a tolerance from 0 to 1, a share of a typical torque, got {tolerance:g}")
     if budget is not None and not budget > 0:
@@ -136,25 +142,26 @@ def diagnose(
             "held_out": content_digest(_each(held_out or ())),
             "body": repr(body),
             **{"passive": passive, "without": list(without), "most": most, "seed": seed},
-            **{"budget": budget, "tolerance": tolerance},
+            **{"budget": budget, "tolerance": tolerance, "rules": content_digest(rules)},
         }
         keeper = Checkpoint(checkpoint, run, "diagnosis")
         if keeper.load() is None:  # raises for another diagnosis'
             keeper.save({})
     if not checked:
         for each in (*_each(recording), *_each(held_out or ())):
-            check_before(each, body, passive, force)
+            check_before(each, body, passive, force, rules)
     try:
-        bound = diagnosis_problem(recording, body, passive=passive, force=force)
+        bound = diagnosis_problem(recording, body, passive=passive, force=force, rules=rules)
     except NotEnoughData as error:
         whole, _ = joined(_each(recording))
         return nothing_to_say(whole, body, seed, passive, str(error))
-    work = PASSES * max(len(bound.observations), SHORT) if budget is None else math.inf
+    effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
+    work = effort if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
     bound = replace(bound, budget=allowed, checkpoint=keeper)
     other = None
     if held_out is not None:
-        other = diagnosis_problem(held_out, body, passive=passive, force=force)
+        other = diagnosis_problem(held_out, body, passive=passive, force=force, rules=rules)
         other = replace(other, budget=allowed, checkpoint=keeper)
     if other is not None and other.regime != bound.regime:
         raise InputError(
@@ -163,7 +170,7 @@ def diagnose(
             f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
         )
     report(1, "screen and refine")
-    bound, found = _searched(bound, without, workers, most)
+    bound, found = _searched(bound, without, workers)
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
     if other is not None:
@@ -175,11 +182,11 @@ def diagnose(
 
     def held(cause: FittedHypothesis) -> tuple[Closed, Unseen]:
         there = unseen(bound, none, cause, other)
-        return closed(*there.scores, there.rows, time, seed), there
+        return closed(*there.scores, there.rows, time, seed, rules=rules), there
 
     likely = found.best
     # What is likely may fail there, and not be the best.
-    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed, tolerance), partial(attempt, held, likely)]
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
     shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
@@ -191,12 +198,12 @@ def diagnose(
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if not bound.regime.knows_torque and weighed.best.effects and unsure:
         # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
-        weighed = only(bound, found, none, weighed.log_evidence, tolerance)
+        weighed = only(bound, found, none, weighed.log_evidence)
         shares, there = held(none)
     best = weighed.best
     if len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
-        if not borne_out(best, parts):
+        if not borne_out(best, parts, rules):
             weighed = in_part_only(weighed)
     else:
         parts = {key(effect): shares for effect in best.effects}
@@ -205,8 +212,8 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
-    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows, tolerance)
-    if (untold := left_out(_each(recording))) is not None:
+    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
+    if (untold := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: untold})
     report(5, "done")
     return result
@@ -217,15 +224,13 @@ def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
     return [recording] if isinstance(recording, Recording) else recording
 
 
-def _searched(
-    bound: DiagnosisProblem, without: Sequence[str], workers: int, most: int = MOST_EFFECTS
-) -> tuple[DiagnosisProblem, HypothesisPool]:
+def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int) -> tuple[DiagnosisProblem, HypothesisPool]:
     """The problem in sub-steps short enough along the data's path, and the search."""
     try:
         with diverging():
             path, stray = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            bound, found = search_either(bound, path, lambda law: search(law, path, stray, without, workers, most))
+            bound, found = search_either(bound, path, lambda law: search(law, path, stray, without, workers))
             return heavy_tailed(bound, found)
     except Diverged as error:
         raise cannot_follow(bound) from error

@@ -23,7 +23,7 @@ sys.path.insert(0, str(DOCS))
 
 project, author, copyright = "invdyn", "The invdyn authors", "The invdyn authors, Apache-2.0"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["pictures.py", "reference_pages.py"]
+exclude_patterns = ["pictures.py", "reference_pages.py", "numbers_page.py"]
 html_theme = "furo"
 html_title = "invdyn"
 highlight_language = "text"  # blocks without a language are commands

@@ -9,7 +9,7 @@ from oracles import Chain
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, log_prior
+from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -143,4 +143,4 @@ def at_best(here, cause):
     """A cause's log evidence at its best size without memory of errors, and that size."""
     top = int(cause.by_size.argmax())
     levels = here.regime.sizes
-    return cause.by_size[top] - log_prior(levels)[top] - cause.of_memory, levels[top]
+    return cause.by_size[top] - here.regime.log_prior[top] - cause.of_memory, levels[top]

@@ -32,13 +32,13 @@ from invdyn.diagnosis.assessment.result import (
 from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
 from invdyn.diagnosis.assessment.tracks import Tracks
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.prediction.predict import WINDOW, replay, replay_rms, residual, scores, seen_tips
+from invdyn.diagnosis.prediction.predict import replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.regime import regime_of
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models import ArmModel, ArticulatedBody
@@ -57,14 +57,12 @@ def assembled(
     follows: Sequence[str],
     seed: int,
     held_out: str,
-    tolerance: float = RULE.tolerance,
 ) -> Diagnosis:
     """Everything that a diagnosis says; ``formula`` is of what no cause explains, None where nothing is left.
 
     ``fresh`` says whether the share that the best cause closes is of rows that its parameters do not know, and
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
-    A gap under ``tolerance`` of a typical torque does not matter (:mod:`.matters`).
     """
     model, body = bound.model, bound.model.body
     none, best = found.pool[""], weighed.best
@@ -88,7 +86,7 @@ def assembled(
         else np.zeros(moved.shape[1])
     )
     probability = 1.0 - weighed.causes.get("", (none, 0.0))[1]
-    limit = tolerated(bound, unexplained, tolerance)
+    limit = tolerated(bound, unexplained)
     large = matters(bound, none, best, before, limit)
     if not large:
         weighed = too_small(weighed)
@@ -102,10 +100,10 @@ def assembled(
             learned(bound, cause, seed, found.temper_within()),
         )
         for cause, probability in weighed.causes.values()
-        if probability + weighed.in_part[cause.key] > 1e-4 or cause is best
+        if probability + weighed.in_part[cause.key] > bound.rules.evidence.min_probability or cause is best
     )
     causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
-    rivals = _ambiguous(causes)
+    rivals = _ambiguous(causes, bound.rules)
     joints = body.joint_names
     visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
     located = where(
@@ -118,6 +116,7 @@ def assembled(
         shifts,
         frame_gap,
         follows,
+        bound.rules,
     )
     return Diagnosis(
         recording=bound.problem.recording.name,
@@ -166,7 +165,7 @@ def assembled(
             velocity=qd.numpy(),
             nominal_replay=replays["nominal"],
             corrected_replay=replays["corrected"],
-            replay_window=WINDOW,
+            replay_window=FIXED.replay_window,
             smoothed=tips,
             residual_before=before,
             residual_before_sd=before_sd,
@@ -183,6 +182,7 @@ def assembled(
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
+        rules=bound.rules,
     )
 
 
@@ -211,7 +211,7 @@ def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     """
     regime, body = bound.regime, bound.model.body
     shown = added(found.first)
-    unseen = {key(s.effect) for s in shown if s.dprime < RULE.faint or regime.hides(s.effect)}
+    unseen = {key(s.effect) for s in shown if s.dprime < bound.rules.evidence.min_dprime or regime.hides(s.effect)}
     if not regime.commanded:
         everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
         unseen |= {key(e.bound(body)) for e in everything if e.needs_command or regime.hides(e)}
@@ -232,7 +232,7 @@ def _without_hidden(model: ArmModel, path: torch.Tensor) -> torch.Tensor:
     return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
 
 
-def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
+def _ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ...]:
     """Keys of the causes that together hold most of the probability of all that name one; none for a single one.
 
     None, either, where there is no gap more probably than one.
@@ -243,7 +243,7 @@ def _ambiguous(causes: Sequence[Cause]) -> tuple[str, ...]:
         return ()
     held, rivals = 0.0, []
     for cause in named:
-        if total <= 0 or held > RULE.credible * total:
+        if total <= 0 or held > rules.evidence.credible_mass * total:
             break
         rivals.append("+".join(f.key for f in cause.effects))
         held += cause.probability
@@ -262,7 +262,7 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "row, chosen so that the integrator's own error stays a tenth of what can be noticed, adds up to next to no "
         "evidence over the recording, and favours none of the causes",
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
-        f"at most {found.most} effects",
+        f"at most {bound.rules.search.max_effects} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
         "noise scale at its likeliest (its integral adds the same to each), what errors remember of the row before "
         f"integrated out (at its likeliest {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
@@ -307,7 +307,7 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
         recording=recording.name,
         body=body.name,
         seed=seed,
-        regime=regime_of(recording.torques, passive).name,
+        regime=regime_of(recording.torques, passive, DEFAULT).name,
         gap=Gap(
             False,
             nan,

@@ -27,7 +27,6 @@ from pyro.infer.smcfilter import SMCFailed
 from scipy.stats import multivariate_t
 from torch import Tensor
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of
 from invdyn.diagnosis.kept_units import Numbers, kept
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
@@ -47,16 +46,6 @@ from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.models import ArmModel
 from invdyn.models.divergence import Diverged, diverging
-
-FILTERS, PARTICLES = 8, 20
-"""Filters of a run, particles of each filter."""
-DRAWS = 4
-"""Paths of each filter in the posterior."""
-CLEAR, TOO_UNSURE = 0.2, 0.9
-"""Nats: a standard error with which no further run is needed, once tempered; and one of filters among which a single
-one counts."""
-TAIL = 8.0
-"""Degrees of freedom of the proposal: heavier in its tails than the posterior, so that the weights stay bounded."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +74,13 @@ def confirm_all(
     evidence by SMC cannot weigh them: that is all then.
     """
     runs = side_by_side([partial(confirm, problem, cause, derived(seed, 0)) for cause in causes], workers)
-    if len(runs) < 2 or any(not run.log_evidence_sd < TOO_UNSURE for run in runs):
+    if len(runs) < 2 or any(not run.log_evidence_sd < problem.rules.evidence.max_filter_se for run in runs):
         return runs
-    unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= min(CLEAR / temper, RULE.sure)]
+    unclear = [
+        i
+        for i, run in enumerate(runs)
+        if run.log_evidence_sd >= min(problem.rules.evidence.clear_se / temper, problem.rules.evidence.max_smc_se)
+    ]
     again = [partial(confirm, problem, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
     both = dict(zip(unclear, side_by_side(again, workers), strict=True))
     return [both.get(i, run) for i, run in enumerate(runs)]
@@ -97,14 +90,15 @@ def confirm(
     problem: DiagnosisProblem,
     cause: FittedHypothesis,
     seed: int = 0,
-    filters: int = FILTERS,
+    filters: int | None = None,
     before: Confirmed | None = None,
 ) -> Confirmed:
-    """Run so many filters of ``PARTICLES`` particles under the cause, and weigh them with those of a run ``before``.
+    """Run so many filters of `num_particles` particles under the cause, and weigh them with those of a run ``before``.
 
     Where a filter dies, because parameters that may be let the simulation run away, or data that no noise explains,
     there is no evidence (−∞, and NaN as its error) and no result.
     """
+    filters = filters or problem.rules.outcome.num_filters
     run = _run(problem, cause, seed, filters)
     if run is None:
         return Confirmed(-math.inf, math.nan, np.tile(cause.mean, (filters, 1)))
@@ -163,7 +157,7 @@ def _filtered(
     # No linearised dynamics tell where a gap's state goes.
     block = BLOCK if model.jumping is None else 1
     with seeded(seed):
-        return BlockFilter(model, smoothers, PARTICLES, block=block).run(problem.observations)
+        return BlockFilter(model, smoothers, problem.rules.outcome.num_particles, block=block).run(problem.observations)
 
 
 def _model(problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float) -> ArmModel:
@@ -188,7 +182,9 @@ def _draw(problem: DiagnosisProblem, cause: FittedHypothesis, count: int, seed: 
         return torch.zeros(count, 0, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
     # In units of their own standard deviations: parameters differ by orders of magnitude.
     sd = np.maximum(cause.sd, 1e-6 * among.sd)
-    q = multivariate_t(np.zeros(p), cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), df=TAIL)
+    q = multivariate_t(
+        np.zeros(p), cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), df=problem.rules.outcome.proposal_degrees
+    )
     half = q.rvs(math.ceil(count / 2), random_state=np.random.default_rng(seed)).reshape(-1, p)
     values = cause.mean + sd * np.concatenate([half, -half])[:count]
     inside = ((values > among.lower) & (values < among.upper)).all(-1)
@@ -210,9 +206,9 @@ def posterior(problem: DiagnosisProblem, cause: FittedHypothesis, confirmed: Con
         at_mean = scaled(problem, cause.model, best_size(problem, cause), cause.kappa)
         if confirmed.result is None:
             smoother = gauss_newton(at_mean, problem.observations, start=cause.path, max_iterations=3)
-            paths = GaussianChain.of(smoother).sample((len(confirmed.values), DRAWS))
+            paths = GaussianChain.of(smoother).sample((len(confirmed.values), problem.rules.outcome.paths_per_filter))
         else:
-            paths = genealogy(confirmed.result, DRAWS)
+            paths = genealogy(confirmed.result, problem.rules.outcome.paths_per_filter)
         values = dict(zip(unknowns(problem, cause.effects).names, torch.as_tensor(confirmed.values).T, strict=True))
         values |= {name: torch.full((len(paths),), value) for name, value in cause.noise.items()}
         return to_inference_data(

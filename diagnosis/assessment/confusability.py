@@ -16,7 +16,6 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
@@ -26,9 +25,9 @@ from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 def change(problem: DiagnosisProblem, screened: Added) -> np.ndarray:
     """What an effect explains of the whitened data, (N,)."""
     model, path, best = problem.model, screened.path, screened.best
-    levels, common = np.array([SPIKE]), unknowns(problem, ())
+    levels, common = np.array([problem.rules.residual.spike_size]), unknowns(problem, ())
     about = filter_of(problem, model, path, levels, linear_of(problem, model, path))
-    body = slopes(model, common, common.mean, 0.05 * common.sd, path)
+    body = slopes(model, common, common.mean, problem.rules.screening.slope_step * common.sd, path)
     columns = whiten(problem, about, beside([screened.columns, body])).columns[0]
     offset, free = int(best.offset is not None), len(best.free)
     basis, _ = np.linalg.qr(columns[:, 1 + offset + free :])

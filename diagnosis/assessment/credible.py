@@ -17,6 +17,8 @@ def credible(bound: DiagnosisProblem, cause: FittedHypothesis) -> bool:
         mean, sd = of_effect(effect, cause.values), of_effect(effect, cause.spread)
         if not effect.credible(mean, sd, bound.model.scale):
             return False
-        if is_searched(effect) and any(at_far_end(p, mean[p.name]) for p in effect.parameters(bound.model.scale)):
+        if is_searched(effect) and any(
+            at_far_end(p, mean[p.name], bound.rules) for p in effect.parameters(bound.model.scale)
+        ):
             return False
     return have_room(cause.effects, cause.values, bound.model.scale)

@@ -15,11 +15,9 @@ from invdyn.diagnosis.hypotheses.simplex_search import log_spread
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns, upper_bound
+from invdyn.diagnosis.problem.unknowns import Unknowns, bounds, unknowns
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.joint_limit import JointLimit
-
-DRAWS = 4000
 
 
 def place(effect: Effect) -> dict[str, str]:
@@ -89,11 +87,13 @@ def _estimate(values: np.ndarray, unit: str) -> Estimate:
 
 
 def drawn(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float) -> dict[str, np.ndarray]:
-    """Draws (``DRAWS``,) of all of a cause's unknowns by name, from the refined Gaussian within the bounds."""
+    """Draws (N,) of all of a cause's unknowns by name, from the refined Gaussian within the bounds."""
     among, rng = unknowns(problem, cause.effects), np.random.default_rng(seed)
     if not among.names:
         return {}
-    values = rng.multivariate_normal(cause.mean, tempered_covariance(cause, among, temper), DRAWS, method="eigh")
+    values = rng.multivariate_normal(
+        cause.mean, tempered_covariance(cause, among, temper), problem.rules.outcome.num_interval_draws, method="eigh"
+    )
     return dict(zip(among.names, np.clip(values, among.lower, among.upper).T, strict=True))
 
 
@@ -109,16 +109,26 @@ def _draws(
     names = [f"{effect.key}.{p.name}" for p in effect.parameters(problem.model.scale)]
     if is_searched(effect):
         parameters = effect.parameters(problem.model.scale)
-        return {p.name: _searched(cause, p, f"{effect.key}.{p.name}", temper, rng) for p in parameters}
+        return {p.name: _searched(problem, cause, p, temper, rng, f"{effect.key}.{p.name}") for p in parameters}
     return {name.rsplit(".", 1)[1]: whole[name] for name in names}
 
 
-def _searched(cause: FittedHypothesis, p: Parameter, name: str, temper: float, rng: np.random.Generator) -> np.ndarray:
-    """Draws (``DRAWS``,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
-    value, prior = cause.noise[name], log_spread(p)
+def _searched(
+    problem: DiagnosisProblem,
+    cause: FittedHypothesis,
+    p: Parameter,
+    temper: float,
+    rng: np.random.Generator,
+    name: str,
+) -> np.ndarray:
+    """Draws (N,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
+    value, prior = cause.noise[name], log_spread(p, problem.rules)
     share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
     wider = prior * np.sqrt(_tempered(min(share, 1.0) ** 2, temper))
-    return np.minimum(value * np.exp(wider * rng.standard_normal(DRAWS)), upper_bound(p))
+    return np.minimum(
+        value * np.exp(wider * rng.standard_normal(problem.rules.outcome.num_interval_draws)),
+        bounds(p, problem.rules)[1],
+    )
 
 
 def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float:

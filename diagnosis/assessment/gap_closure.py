@@ -25,7 +25,6 @@ import torch
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
 from invdyn.diagnosis.budget import Spent
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.drop import without
@@ -34,12 +33,10 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import Effect
-
-DRAWS = 1000
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class Closed:
 def split(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, np.ndarray]:
     """The problem before its last rows, and which rows (T,) those are."""
     seen = np.flatnonzero((~torch.isnan(problem.observations)).any(-1).numpy())
-    first = int(seen[int(RULE.share * len(seen))])
+    first = int(seen[int(problem.rules.outcome.fit_share * len(seen))])
     return problem.until(first), np.arange(len(problem.observations)) >= first
 
 
@@ -110,16 +107,16 @@ def by_effect(
 
     def alone(effect: Effect) -> Closed | None:
         rest = tuple(e for e in cause.effects if e is not effect)
-        lesser = found.pool.get(key_of(rest)) or attempt(without, problem, cause, effect, FIRM)
+        lesser = found.pool.get(key_of(rest)) or attempt(without, problem, cause, effect, problem.min_size)
         lesser = lesser and attempt(taken, lesser)
         scored = None if lesser is None else attempt(scores, there.problem, lesser, rows)
-        return None if scored is None else closed(nothing, everything, rows, time, seed, besides=scored)
+        return None if scored is None else closed(nothing, everything, rows, time, seed, scored, problem.rules)
 
     shares = side_by_side([partial(alone, effect) for effect in cause.effects], found.workers, problem.budget)
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 
-def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed]) -> bool:
+def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed], rules: Rules = DEFAULT) -> bool:
     """Whether held-out rows speak for each effect of a cause of ``several``, stray detections not counted.
 
     Several together imitate what the catalogue lacks, and what does that closes nothing where the arm moves on. The
@@ -128,7 +125,7 @@ def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed]) -> bool:
     """
     asked = [parts.get(key(effect)) for effect in others(cause)]
     measured = [part.interval for part in asked if part is not None and part.interval is not None]
-    return len(asked) < RULE.several or all(low > 0 for low, _ in measured)
+    return len(asked) < rules.outcome.min_effects_tested or all(low > 0 for low, _ in measured)
 
 
 def _apart(
@@ -155,13 +152,13 @@ def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: Di
     except (Diverged, Spent):
         return settled  # the first rows by themselves lead nowhere
     # Linearised along a path that knows the held-out rows; the predictions themselves do not.
-    return settled if _shown_later(cause, fitted) else replace(fitted, path=cause.path)
+    return settled if _shown_later(cause, fitted, problem.rules) else replace(fitted, path=cause.path)
 
 
-def _shown_later(cause: FittedHypothesis, fitted: FittedHypothesis) -> bool:
+def _shown_later(cause: FittedHypothesis, fitted: FittedHypothesis, rules: Rules) -> bool:
     """Whether the rows that a cause is ``fitted`` on say next to nothing of some parameter of its effects."""
     mine = np.array([not name.startswith("body.") for name in cause.names], dtype=bool)
-    return bool((fitted.sd[mine] > RULE.later * cause.sd[mine]).any())
+    return bool((fitted.sd[mine] > rules.outcome.max_sd_growth * cause.sd[mine]).any())
 
 
 def closed(
@@ -171,6 +168,7 @@ def closed(
     time: np.ndarray,
     seed: int,
     besides: Scores | None = None,
+    rules: Rules = DEFAULT,
 ) -> Closed:
     """Share of the gap that is closed on ``rows`` (T,): from ``nothing`` on, or from what is known ``besides``."""
     begun = besides or nothing
@@ -184,10 +182,10 @@ def closed(
     if gap.sum() <= 0:
         return Closed(None, None, per_frame)
     count = len(gain)
-    longest = RULE.block / np.median(np.diff(time[use])) if count > 1 else 1
+    longest = rules.outcome.bootstrap_block / np.median(np.diff(time[use])) if count > 1 else 1
     length = max(1, min(round(longest), count // 2))
-    starts = np.random.default_rng(seed).integers(count, size=(DRAWS, -(-count // length)))
-    index = ((starts[..., None] + np.arange(length)) % count).reshape(DRAWS, -1)
+    starts = np.random.default_rng(seed).integers(count, size=(rules.outcome.num_bootstraps, -(-count // length)))
+    index = ((starts[..., None] + np.arange(length)) % count).reshape(rules.outcome.num_bootstraps, -1)
     total = gap[index].sum(1)
     shares = gain[index].sum(1)[total > 0] / total[total > 0]
     low, high = np.quantile(np.minimum(shares, 1.0), [0.05, 0.95]) if len(shares) else (np.nan, np.nan)

@@ -7,15 +7,9 @@ import numpy as np
 from invdyn.diagnosis.assessment.result import Interval, Where
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.regime import Regime
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.effects.base import Effect
-
-MOST_OF = 0.8
-"""Share of the gap that the intervals hold together."""
-BRIEF = 0.4
-"""Share of the recording above which intervals say nothing: the gap is everywhere."""
-SMOOTH = 0.1
-"""s over which the gap is averaged."""
 
 
 def joints_of(effect: Effect, body: ArticulatedBody) -> list[int]:
@@ -38,6 +32,7 @@ def where(
     shifts: np.ndarray,
     frame_gap: np.ndarray,
     depends_on: Sequence[str],
+    rules: Rules = DEFAULT,
 ) -> Where:
     """Shares.
 
@@ -80,7 +75,7 @@ def where(
         side=_normal({"dynamics": dynamics, "observation": observation}),
         joints=_normal(dict(zip(body.joint_names, joints.tolist(), strict=True))),
         keypoints=_normal(dict(zip(tracked, (keypoints * (keypoints.sum() > read)).tolist(), strict=True))),
-        intervals=acting(causes) or intervals(model.time.numpy(), frame_gap),
+        intervals=acting(causes) or intervals(model.time.numpy(), frame_gap, rules),
         depends_on=tuple(depends_on),
     )
 
@@ -102,19 +97,19 @@ def acting(causes: Mapping[str, tuple[FittedHypothesis, float]]) -> tuple[Interv
     )
 
 
-def intervals(time: np.ndarray, frame_gap: np.ndarray) -> tuple[Interval, ...]:
+def intervals(time: np.ndarray, frame_gap: np.ndarray, rules: Rules = DEFAULT) -> tuple[Interval, ...]:
     """The fewest stretches that hold most of the gap; none where that is a large part of the recording."""
     seen = np.isfinite(frame_gap)
     t, gap = time[seen], np.maximum(frame_gap[seen], 0.0)
     if gap.sum() <= 0 or len(t) < 3:
         return ()
-    width = max(round(SMOOTH / np.median(np.diff(t))), 1)
+    width = max(round(rules.outcome.gap_smoothing / np.median(np.diff(t))), 1)
     level = np.convolve(gap, np.ones(width) / width, mode="same")
     order = np.argsort(-level)
     held = np.cumsum(gap[order]) / gap.sum()
     inside = np.zeros(len(t), bool)
-    inside[order[: int(np.searchsorted(held, MOST_OF)) + 1]] = True
-    if inside.mean() > BRIEF:
+    inside[order[: int(np.searchsorted(held, rules.outcome.interval_mass)) + 1]] = True
+    if inside.mean() > rules.outcome.max_interval_share:
         return ()
     edges = np.flatnonzero(np.diff(np.r_[0, inside.astype(int), 0]))
     found = [

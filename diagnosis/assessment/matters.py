@@ -20,43 +20,44 @@ import numpy as np
 from scipy.signal import savgol_filter
 from torch import Tensor
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
-
-SMOOTH, POINTS = 0.1, 11
-"""s over which a motion's third derivative is one of a cubic, and points in so long."""
+from invdyn.diagnosis.rules import FIXED
 
 
-def tolerated(problem: DiagnosisProblem, path: Tensor, share: float = RULE.tolerance) -> np.ndarray:
+def tolerated(problem: DiagnosisProblem, path: Tensor) -> np.ndarray:
     """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
-    model = problem.model
+    model, rules = problem.model, problem.rules.evidence
     time, velocity = model.time.numpy(), path[:, -model.body.num_joints :].numpy()
     starts = [*problem.starts]
     stretches = zip(np.split(time, starts), np.split(velocity, starts), strict=True)
     jerk = np.concatenate([_jerk(*stretch) for stretch in stretches])
-    step = min(RULE.step, float(np.median(np.diff(time))))
+    step = min(rules.engine_error_step, float(np.median(np.diff(time))))
     own = model.dynamics.typical_inertia(model.scale.body).numpy() * step / 2 * np.sqrt((jerk**2).mean(0))
-    return np.maximum(share * np.array(model.scale.torque), own)
+    return np.maximum(rules.tolerance * np.array(model.scale.torque), own)
 
 
 def _jerk(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """The second derivative (…, K) rad/s³ of a velocity (T, K), on an even grid of its own."""
     first, last = float(time[0]), float(time[-1])
-    count = max(round((POINTS - 1) * (last - first) / SMOOTH) + 1, POINTS)
+    count = max(round((FIXED.jerk_points - 1) * (last - first) / FIXED.jerk_span) + 1, FIXED.jerk_points)
     even, step = np.linspace(first, last, count, retstep=True)
     columns = [np.interp(even, time, column) for column in velocity.T]
-    return savgol_filter(np.stack(columns, -1), POINTS, 3, deriv=2, delta=step, axis=0)
+    return savgol_filter(np.stack(columns, -1), FIXED.jerk_points, 3, deriv=2, delta=step, axis=0)
 
 
 def matters(
     problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
 ) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    if not problem.regime.knows_torque or none.kappa > RULE.loud or any(is_noise(effect) for effect in best.effects):
+    if (
+        not problem.regime.knows_torque
+        or none.kappa > problem.rules.residual.max_error_ratio
+        or any(is_noise(effect) for effect in best.effects)
+    ):
         return True
-    rows = max(round(RULE.worst / float(problem.model.dt[1:].median())), 1)
+    rows = max(round(problem.rules.evidence.worst_window / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))
     total = np.concatenate([np.zeros((1, missing.shape[1])), (missing**2).cumsum(0)])
     worst = np.sqrt((total[rows:] - total[:-rows]).max(0) / rows)

@@ -38,16 +38,12 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.assessment.confirm import Confirmed, confirm_all
 from invdyn.diagnosis.assessment.credible import credible
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.prediction.innovation_tests import along_motion, prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another
 from invdyn.models.effects import EFFECTS
-
-FAINT = 1e-4
-"""Probability under which nobody asks what a cause leaves."""
 
 
 @dataclass(frozen=True)
@@ -66,20 +62,19 @@ class Weighed:
         return next(iter(self.causes.values()))[0]
 
 
-def _alone(
-    bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, tolerance: float = RULE.tolerance
-) -> float:
+def _alone(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> float:
     """Posterior share of residuals under the tolerance, or little beside the one that the simulation needs.
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
+    rules, tolerance = bound.rules.residual, bound.rules.evidence.tolerance
     errors = prediction_errors(bound, cause)
     if show_more(bound, cause, errors) or not credible(bound, cause):
         return 0.0
     if not bound.regime.knows_torque:
         return 1.0
     along, chance = along_motion(errors, cause)
-    if along > 0.5 + RULE.along + RULE.chance * chance:
+    if along > 0.5 + rules.max_excess_along + rules.error_margin * chance:
         return 0.0
     levels, prior = bound.regime.sizes, bound.regime.log_prior
     if found.leaves(cause) and best_size(bound, cause) > tolerance:
@@ -87,39 +82,37 @@ def _alone(
     # A torque under the tolerance is nothing to look for a cause of, though "no gap" is less than that.
     least = max(levels[1], tolerance) if cause.effects else levels[0]
     weight = found.temper * (cause.by_size - prior) + prior
-    little = levels <= max(least, RULE.little * best_size(bound, found.pool[""]))
+    little = levels <= max(least, rules.max_share_left * best_size(bound, found.pool[""]))
     return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
-def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int, tolerance: float = RULE.tolerance) -> Weighed:
-    """Confirm the best by SMC, and turn scores into probabilities; torques under a ``tolerance`` are not left."""
+def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
+    """Confirm the best by SMC, and turn scores into probabilities; torques under the tolerance are not left."""
+    rules, small = bound.rules.evidence, bound.rules.residual.max_share_left
     ranked = found.ranked
-    close = [c for c in ranked if found.score(c) > found.score(ranked[0]) - RULE.near][: RULE.confirmed]
+    limit = found.score(ranked[0]) - rules.confirm_within
+    close = [c for c in ranked if found.score(c) > limit][: rules.max_confirmed]
     runs = confirm_all(bound, close, seed, found.temper, found.workers)
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
     # whole stand beside those that were not confirmed where the linearised evidence has them.
-    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < RULE.sure for run in confirmed.values()):
+    if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < rules.max_smc_se for run in confirmed.values()):
         apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
         evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
-    share = np.array(
-        [_alone(bound, found, c, tolerance) if p > FAINT else 1.0 for c, p in zip(ranked, probability, strict=True)]
-    )
+    likely = probability > rules.min_probability
+    share = np.array([_alone(bound, found, c) if p else 1.0 for c, p in zip(ranked, likely, strict=True)])
     least = found.pool[""].log_evidence
-    for i in np.flatnonzero(probability > FAINT):
+    for i in np.flatnonzero(likely):
         j = _special(bound, ranked, ranked[i])
-        if (
-            j is not None
-            and evidence[ranked[j].key] > RULE.little * least + (1 - RULE.little) * evidence[ranked[i].key]
-        ):
+        if j is not None and evidence[ranked[j].key] > small * least + (1 - small) * evidence[ranked[i].key]:
             probability[j], probability[i] = probability[j] + probability[i], 0.0
-            share[j] = _alone(bound, found, ranked[j], tolerance)
+            share[j] = _alone(bound, found, ranked[j])
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
-    probability = probability * np.where(rest, [another(len(c.effects), found.most) for c in ranked], 1.0)
+    probability = probability * np.where(rest, [another(len(c.effects), bound.rules) for c in ranked], 1.0)
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}
@@ -160,8 +153,7 @@ def only(
     found: HypothesisPool,
     cause: FittedHypothesis,
     log_evidence: dict[str, float],
-    tolerance: float = RULE.tolerance,
 ) -> Weighed:
     """The one cause that there is, and what the catalogue lacks beside it."""
-    share = _alone(bound, found, cause, tolerance)
+    share = _alone(bound, found, cause)
     return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

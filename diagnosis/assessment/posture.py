@@ -13,10 +13,9 @@ from functools import singledispatch
 import numpy as np
 import torch
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArticulatedBody, Body, Tree, dynamics_for
 
-NEAR = 1e-6
-"""Of the reach: points that are nearer to each other are one."""
 MARK = "joint of "
 """Before a link's name: the site that is put at its joint."""
 
@@ -73,7 +72,7 @@ def _(body: Tree, angle: np.ndarray | None = None) -> Posture:
     q = torch.as_tensor(np.array(body.hanging if angle is None else angle, float))
     sites = dynamics_for(marked).keypoints(q, marked.parameters()).numpy()
     at = dict(zip(marked.keypoint_names, sites, strict=True))
-    near = NEAR * max(float(np.ptp(sites, 0).max()), 1e-12)
+    near = FIXED.negligible * max(float(np.ptp(sites, 0).max()), 1e-12)
     points: list[np.ndarray] = []
 
     def number(place: np.ndarray) -> int:

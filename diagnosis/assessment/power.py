@@ -5,7 +5,6 @@ likely a missing torque of that size is than none. "No gap" is an answer where a
 gap" where none is; in a few frames, or between detections as far apart as the arm is long, both are as likely.
 """
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 
@@ -17,10 +16,12 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
     """
     if not problem.regime.knows_torque or found.best.effects:
         return None
-    levels = problem.regime.sizes
+    levels, rules = problem.regime.sizes, problem.rules
     by_size = found.pool[""].by_size - problem.regime.log_prior
-    hidden = levels[(levels >= RULE.large) & (by_size > by_size[0] - RULE.out_of_question)]
-    if not len(hidden) or by_size.max() > by_size[0] + RULE.out_of_question:
+    hidden = levels[
+        (levels >= rules.evidence.detectable_torque) & (by_size > by_size[0] - rules.evidence.ruled_out_gap)
+    ]
+    if not len(hidden) or by_size.max() > by_size[0] + rules.evidence.ruled_out_gap:
         return None
     time, torque = problem.model.time, float(hidden.max() * problem.typical.max())
     rows, seconds = len(time), float(time[-1] - time[0])

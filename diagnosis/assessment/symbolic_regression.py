@@ -18,27 +18,12 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.assessment.digits import decimals
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import SLAB
+from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, whiten
-
-MOST_TERMS = 3
-"""Terms in a formula."""
-PRODUCT = 5.0
-"""Nats by which a term of two factors must be better than one of a single: on a short arc sin θ is nearly a number."""
-
-STRETCHES = 10
-"""Stretches of rows, each of which is left out once to see how far a coefficient depends on it."""
-
-BIAS = 0.03
-"""Share by which the path's own errors, which are not counted, make a coefficient smaller: 1 to 3 % as measured."""
-
-STEADY = 1e-6
-"""1/s, decay of a torque that stays as it is from one row to the next."""
 
 Feature = Callable[["Motion", int], np.ndarray]
 
@@ -96,7 +81,7 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
     terms, features = _library(cause, path)
     linear = linear_of(problem, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
-    decay = torch.full_like(cause.model.parameters["torque.decay"], STEADY)
+    decay = torch.full_like(cause.model.parameters["torque.decay"], FIXED.negligible)
     response = linear_of(problem, cause.model.replace(**{"torque.decay": decay}), path).F[:, :, :K].copy()
     response[:, :K] = 0.0  # a torque on joint j, from row to row
     g = np.stack(
@@ -104,19 +89,21 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
         -1,
     )
     d = np.zeros((len(path), problem.observations.shape[-1], len(terms)))
-    levels = np.array([1e-3, *SLAB[:-1]])
+    levels = np.array([problem.min_size, *problem.rules.residual.slab_sizes[:-1]])
     about = filter_of(problem, cause.model, path, levels, linear)
     whitened = whiten(problem, about, Columns(g.reshape(len(path) - 1, D, -1), d))
     typical = problem.typical.numpy()
     sd = np.array(
         [0.5 * typical[j] / (np.sqrt((f**2).mean()) + 1e-12) for (_, j, _, _), f in zip(terms, features, strict=True)]
     )
-    cost = np.array([PRODUCT * _is_product(name) for name, *_ in terms])
-    if not (chosen := _chosen(whitened, sd, cost)):
+    cost = np.array([problem.rules.outcome.product_cost * _is_product(name) for name, *_ in terms])
+    if not (chosen := _chosen(whitened, sd, cost, problem.rules)):
         return None
     size = int(np.argmax([_at(whitened, g, [chosen], sd).log_evidence[0] for g in range(len(levels))]))
     fit = _at(whitened, size, [chosen], sd)
-    spread = np.hypot(_scatter(whitened, size, chosen, sd, cost), BIAS * fit.mean[0])
+    spread = np.hypot(
+        _scatter(whitened, size, chosen, sd, cost, problem.rules), problem.rules.outcome.path_bias * fit.mean[0]
+    )
     spread = np.maximum(np.sqrt(np.diag(fit.covariance[0])), spread)
     named = {
         terms[i][0]: (float(mean), float(s), terms[i][2])
@@ -124,7 +111,7 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
     }
     text = "; ".join(f"{_told(mean, s)}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
     variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
-    return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd))
+    return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd, problem.rules))
 
 
 def _factor(unit: str, name: str) -> str:
@@ -179,11 +166,11 @@ def _evidence(whitened: Whitened, sets: Sequence[Sequence[int]], sd: np.ndarray)
     return np.logaddexp.reduce([_at(whitened, g, sets, sd).log_evidence for g in range(len(whitened.sizes))])
 
 
-def _chosen(whitened: Whitened, sd: np.ndarray, cost: np.ndarray) -> list[int]:
+def _chosen(whitened: Whitened, sd: np.ndarray, cost: np.ndarray, rules: Rules) -> list[int]:
     """Terms, one by one, while the evidence rises by more than their number and their ``cost`` do."""
     chosen: list[int] = []
     best = _evidence(whitened, [chosen], sd)[0]
-    while len(chosen) < MOST_TERMS:
+    while len(chosen) < rules.outcome.max_terms:
         gains = _evidence(whitened, [[*chosen, i] for i in range(len(sd))], sd) - cost
         gains[chosen] = -np.inf
         if gains.max() < best + np.log(len(sd)) + 3:
@@ -192,20 +179,22 @@ def _chosen(whitened: Whitened, sd: np.ndarray, cost: np.ndarray) -> list[int]:
     return chosen
 
 
-def _scatter(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray, cost: np.ndarray) -> np.ndarray:
+def _scatter(
+    whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray, cost: np.ndarray, rules: Rules
+) -> np.ndarray:
     """Standard errors of the coefficients, by the jackknife: one stretch of rows after the other is left out.
 
     What remains of one row in the next counts, and so do terms that are chosen in another's place: then one has 0.
     """
     seen = np.flatnonzero(whitened.seen)
-    found = np.zeros((min(STRETCHES, len(seen)), len(sd)))
+    found = np.zeros((min(rules.outcome.num_left_out, len(seen)), len(sd)))
     for coefficients, stretch in zip(found, np.array_split(np.arange(len(seen)), len(found)), strict=True):
         rows = whitened.columns[:, stretch[0] * whitened.width : (stretch[-1] + 1) * whitened.width]
         observed, log_det = whitened.seen.copy(), whitened.row_log_det.copy()
         observed[seen[stretch]], log_det[:, seen[stretch]] = 0, 0.0
         gram = whitened.gram - rows.mT @ rows
         rest = replace(whitened, gram=gram, seen=observed, row_log_det=log_det)
-        own = _chosen(rest, sd, cost)
+        own = _chosen(rest, sd, cost, rules)
         coefficients[own] = _at(rest, size, [own], sd).mean[0]
     return np.sqrt((len(found) - 1) * found[:, chosen].var(axis=0))
 
@@ -216,10 +205,10 @@ def _told(mean: float, sd: float) -> str:
     return f"{round(mean, places):+.{max(places, 0)}f} ± {round(sd, places):.{max(places, 0)}f}"
 
 
-def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray) -> float:
+def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndarray, rules: Rules) -> float:
     """Nats a frame that the last third of the rows gains, with coefficients from the first two."""
     rows = whitened.columns[size]
-    cut = int(RULE.share * len(rows))
+    cut = int(rules.outcome.fit_share * len(rows))
     A, y = rows[:cut, 1 + np.array(chosen)], rows[:cut, 0]
     kappa2 = (y**2).mean()
     precision = A.T @ A / kappa2 + np.diag(1 / sd[chosen] ** 2)
@@ -230,5 +219,5 @@ def _held_out_gain(whitened: Whitened, size: int, chosen: list[int], sd: np.ndar
     def score(w: np.ndarray, k2: float) -> float:
         return float(-0.5 * (w**2).sum() / k2 - 0.5 * len(w) * np.log(k2))
 
-    frames = max((whitened.seen > 0).sum() - int(RULE.share * (whitened.seen > 0).sum()), 1)
+    frames = max((whitened.seen > 0).sum() - int(rules.outcome.fit_share * (whitened.seen > 0).sum()), 1)
     return (score(rest, after2) - score(before, kappa2)) / frames

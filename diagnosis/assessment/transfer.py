@@ -20,20 +20,15 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import CLOSE, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import led, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.prediction.predict import posterior_columns, scores, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, DiagnosisProblem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.evidence import regression
 from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
-
-MOST_STEPS = 50
-"""Gauss–Newton steps, at most."""
-TELLS = 1e-6
-"""rad and rad/s in one row, by which a whole turn of a joint must change what comes next to count."""
 
 
 def carried(
@@ -46,12 +41,13 @@ def carried(
     other. Raises CannotFollow where no path can be followed.
     """
     model, size = cause.carried_to(other), best_size(problem, cause)
+    steps, tolerance = other.rules.descent.transfer_steps, other.rules.descent.path_tolerance
     rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
 
     def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
         start = begun.path if by_itself else led(other, begun.model, begun.path, size)
-        quiet = other.with_residual(max(size, FIRM), begun.model)
-        return replace(begun, path=gauss_newton_path(quiet, other.observations, start, MOST_STEPS, CLOSE))
+        quiet = other.with_residual(max(size, other.min_size), begun.model)
+        return replace(begun, path=gauss_newton_path(quiet, other.observations, start, steps, tolerance))
 
     def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)
@@ -89,7 +85,7 @@ def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
     after = model.transition_mean(path, rows)
     for turn in math.tau * torch.eye(joints, dtype=path.dtype):
         step = torch.cat([path.new_zeros(path.shape[-1] - 2 * joints), turn, torch.zeros_like(turn)])
-        if not torch.allclose(model.transition_mean(path + step, rows) - step, after, rtol=0.0, atol=TELLS):
+        if not torch.allclose(model.transition_mean(path + step, rows) - step, after, rtol=0.0, atol=FIXED.negligible):
             begin = model.parameters["initial.angle"]
             found += [
                 replace(there, model=model.replace(**{"initial.angle": begin + way * turn}), path=path + way * step)
@@ -104,7 +100,7 @@ def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedH
     if any(effect.dated for effect in cause.effects):
         return False
     there, without = (replace(each, by_size=_by_size(other, each)) for each in (cause, none))
-    return leaves(there, without)
+    return leaves(there, without, other.rules)
 
 
 def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:

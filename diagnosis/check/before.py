@@ -8,19 +8,19 @@ diagnosis is for.
 import warnings
 
 from invdyn.diagnosis.check.check import Wrong, check
-from invdyn.diagnosis.problem.conventions import MISSED, NEAR, SIGNS, refuse
+from invdyn.diagnosis.problem.conventions import SIGNS, refuse
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
 from invdyn.recordings.reading import Reading
 
-TILTED, LIMITED = 0.45, 0.18
-"""Three sds of priors: of tilted gravity, rad; of the limit of a motor, of the most that it was told."""
-GEARED = 300.0
-"""A larger factor is no gear, of which robots have 160 at most: effects far larger than usual may look like it."""
-
 
 def check_before(
-    recording: Recording | Reading, body: ArticulatedBody, passive: bool = False, force: bool = False
+    recording: Recording | Reading,
+    body: ArticulatedBody,
+    passive: bool = False,
+    force: bool = False,
+    rules: Rules = DEFAULT,
 ) -> None:
     """Raise InputError for what is surely a mistake; warn of one that is not sure, or may be an effect.
 
@@ -33,7 +33,7 @@ def check_before(
     Each mistake is found with those before it put right. So the first alone can be sure: if it is none, but an effect,
     the others may be none either, and are said. So are torques far from the motion of encoders that nothing explains.
     """
-    checked = check(recording, body, passive=passive, effects=False)
+    checked = check(recording, body, passive=passive, effects=False, rules=rules)
     found = checked.mistakes
     given = recording if isinstance(recording, Recording) else recording.recording
     implausible = [wrong for wrong in found if wrong.kind == "refused"]
@@ -46,8 +46,8 @@ def check_before(
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
         refuse(f"{given.name}: {what}; `invdyn check` says more", force)
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
-        said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body)
-        if _sure(wrong, body) and effect is None and n == 0:
+        said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
+        if _sure(wrong, body, rules) and effect is None and n == 0:
             refuse(f"{said}; `invdyn check` says more", force)
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
@@ -60,19 +60,20 @@ def check_before(
         )
 
 
-def _looks_like(wrong: Wrong, body: ArticulatedBody) -> str | None:
+def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None:
     """The effect that a mistake may be. None is like a gear: no motor gives twice of what it is told, or more."""
-    if wrong.kind == "scale" and LIMITED < wrong.value < 1:
+    if wrong.kind == "scale" and rules.check.min_motor_limit < wrong.value < 1:
         return "a motor at its limit"
     if wrong.kind == "offset":
         return "a spring's torque, a stop's, or a marker aside"
-    if wrong.kind == "zero" and wrong.joints == body.joint_names[:1] and abs(wrong.value) < TILTED:
+    if wrong.kind == "zero" and wrong.joints == body.joint_names[:1] and abs(wrong.value) < rules.check.max_tilt:
         return "gravity that is tilted"
     return None
 
 
-def _sure(wrong: Wrong, body: ArticulatedBody) -> bool:
+def _sure(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> bool:
     """As :mod:`..problem.conventions` is: of signs only under gravity. A gear has a gear's size."""
+    sure = rules.check.sure_misfit
     told = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
-    told &= wrong.kind != "scale" or wrong.value < GEARED
-    return told and wrong.before >= MISSED and wrong.after <= min(NEAR * wrong.before, MISSED)
+    told &= wrong.kind != "scale" or wrong.value < rules.check.max_gear
+    return told and wrong.before >= sure and wrong.after <= min(rules.check.sure_remaining * wrong.before, sure)

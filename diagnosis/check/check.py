@@ -13,8 +13,9 @@ import numpy as np
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
 from invdyn.diagnosis.check.units import idle, motions, wrong_units
 from invdyn.diagnosis.check.visible import Visible, visible
-from invdyn.diagnosis.problem.mistakes import MISSED, NEAR, Found, Mistake, find, fixed, gears, left_by, units
+from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, gears, left_by, units
 from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
@@ -78,13 +79,15 @@ class Check:
     visible: Visible | None
     not_looked_at: str | None = None
     dropped: bool = False
+    rules: Rules = DEFAULT
 
     @property
     def unclear(self) -> bool:
         """Whether the torques miss more than those of a log that is right, and no mistake explains it."""
         if self.mistakes or self.unexplained is None:
             return False
-        return self.unexplained > NEAR or (self.dropped and self.unexplained > MISSED)
+        limits = self.rules.check
+        return self.unexplained > limits.max_right_misfit or (self.dropped and self.unexplained > limits.min_misfit)
 
     def to_json(self) -> dict:
         """As a JSON file has it."""
@@ -114,7 +117,12 @@ class Check:
 
 
 def check(
-    recording: Recording | Reading, body: ArticulatedBody, *, passive: bool = False, effects: bool = True
+    recording: Recording | Reading,
+    body: ArticulatedBody,
+    *,
+    passive: bool = False,
+    effects: bool = True,
+    rules: Rules = DEFAULT,
 ) -> Check:
     """Check a log against a body; ``effects`` False leaves out which ones it could show, which takes seconds.
 
@@ -122,7 +130,7 @@ def check(
     log and body have nothing to do with each other: other joints, or nothing observed.
     """
     reading = Reading(recording) if isinstance(recording, Recording) else recording
-    told, units_wrong, reading = wrong_units(reading, body)
+    told, units_wrong, reading = wrong_units(reading, body, rules)
     recording = reading.recording
     mistakes = [_in_words(each, body.joint_names) for each in units_wrong]
     if told is not None and not units_wrong:
@@ -133,7 +141,7 @@ def check(
     encoders = recording.angles is not None
     dynamics = dynamics_for(body)
     unclear = any(each.kind == "percent" for each in units_wrong)  # no angle is known, as no range is
-    motion = None if passive or unclear else _motion(reading, body)
+    motion = None if passive or unclear else _motion(reading, body, rules)
     if motion is not None:
         found, dropped = find(dynamics, body, motion, encoders=encoders, said=reading.units)
         for each in found:
@@ -144,7 +152,7 @@ def check(
     shown = None
     if not mistakes:
         try:
-            shown = visible(recording, body, passive) if effects else None
+            shown = visible(recording, body, passive, rules) if effects else None
         except InputError as error:
             mistakes.append(Wrong("refused", (), str(error), "see there", float("nan")))
     return Check(
@@ -156,6 +164,7 @@ def check(
         shown,
         f"{BY_TORQUES}: {_unmoved(recording, body, passive, unclear)}" if motion is None else None,
         dropped,
+        rules,
     )
 
 
@@ -172,18 +181,18 @@ def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear
     return "all torques are zero" if idle(recording, body) else "the log has too few rows"
 
 
-def _motion(reading: Reading, body: ArticulatedBody) -> Motion | None:
+def _motion(reading: Reading, body: ArticulatedBody, rules: Rules) -> Motion | None:
     """Motion and torques under the window in which they explain most, whatever is wrong with them; None of neither."""
-    every = motions(reading, body)
+    every = motions(reading, body, rules)
     if not every:
         return None
     dynamics, encoders = dynamics_for(body), reading.recording.angles is not None
     plain = [explain(dynamics, body, each).misfit for each in every]
-    if min(plain) <= MISSED:  # nothing is wrong
+    if min(plain) <= rules.check.min_misfit:  # nothing is wrong
         return every[int(np.argmin(plain))]
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
     if reading.units.mapping is not None and (terms := every[0].terms) is not None:
-        known += gears(terms, reading.units.mapping)
+        known += gears(terms, reading.units.mapping, rules)
 
     def best(motion: Motion) -> float:
         own = (explain(dynamics, body, each).misfit for each in (motion, as_large(dynamics, body, motion)))

@@ -19,16 +19,10 @@ from invdyn.diagnosis.problem.torque_regression import (
     link_regressors,
     nominal_link_numbers,
 )
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
-
-NOTHING = 1e-6
-"""Of the largest column, that another one adds nothing under."""
-FRACTION = 0.02
-"""Of a base parameter, that another number has a part in it from."""
-LEAST = 0.02
-"""Of a joint's rms torque, that is left by any body: noise alone would promise too much."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +47,15 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
     size = np.sqrt((motion.torque**2).mean(0))
     if not size.any():  # nothing was measured that noise could be a share of
         return []
-    noise = np.maximum(by_joint, LEAST) * np.maximum(size, 0.01 * size.max())
+    noise = np.maximum(by_joint, motion.rules.check.min_noise_share) * np.maximum(size, 0.01 * size.max())
     X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
     rows = X.reshape(len(X), -1).T
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    moved = scale > NOTHING * scale.max()
+    moved = scale > FIXED.negligible * scale.max()
     order = np.flatnonzero(moved)
     _, r, pivot = scipy.linalg.qr(rows[:, order] / scale[order], mode="economic", pivoting=True)
     size_of = np.abs(np.diagonal(r))
-    rank = int((size_of > NOTHING**0.5 * size_of[0]).sum())
+    rank = int((size_of > FIXED.negligible**0.5 * size_of[0]).sum())
     base, rest = order[pivot[:rank]], order[pivot[rank:]]
     own, others = r[:rank, :rank], r[:rank, rank:]
     # what a dependent column is of the base's columns: X₂ = X₁ B
@@ -75,7 +69,7 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
         for j, other in enumerate(rest):
             if abs(combined[i, j]) > 1e-9:
                 value += combined[i, j] * values[other]
-                if abs(combined[i, j] * values[other]) > FRACTION * abs(values[column]):
+                if abs(combined[i, j] * values[other]) > motion.rules.check.min_part * abs(values[column]):
                     parts[names[other]] = float(combined[i, j])
         found.append(BaseParameter(parts, float(value), float(sd[i]), units[column]))
     return sorted(found, key=lambda each: each.sd / max(abs(each.value), 1e-12))

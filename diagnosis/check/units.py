@@ -17,10 +17,10 @@ from itertools import combinations
 import numpy as np
 
 from invdyn.diagnosis.problem.angles import recorded_angles
-from invdyn.diagnosis.problem.diagnosis_problem import FEWEST
-from invdyn.diagnosis.problem.mistakes import BETTER, NEAR, Mistake, units
+from invdyn.diagnosis.problem.mistakes import Mistake, units
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -31,19 +31,16 @@ from invdyn.recordings.plausible import check_magnitudes, check_shifts
 from invdyn.recordings.reading import Reading
 from invdyn.recordings.units import Units
 
-BORNE_OUT = 0.1
-"""Of the torques, that they miss at most of what a motion in degrees asks, where degrees are what it is in."""
-AT_END = 0.5
-"""Of a number, by which it is at the end of a range of ±100."""
 
-
-def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tuple[Mistake, ...], Reading]:
+def wrong_units(
+    reading: Reading, body: ArticulatedBody, rules: Rules = DEFAULT
+) -> tuple[str | None, tuple[Mistake, ...], Reading]:
     """What speaks against the units, the mistakes that explain it, and the reading without them.
 
     None, no mistakes and the reading as it is where nothing does; no mistakes where no other unit will do.
     """
-    recording = reading.recording
-    if _rows(recording) < FEWEST:  # too few to tell a pace by
+    recording, limits = reading.recording, rules.check
+    if _rows(recording) < rules.recording.min_rows:  # too few to tell a pace by
         return None, (), reading
     told = _implausible(recording, body, reading.units)
     if told is None and _implausible(recording, body, Units()) is None:
@@ -62,15 +59,15 @@ def wrong_units(reading: Reading, body: ArticulatedBody) -> tuple[str | None, tu
         except InputError:  # no times of any recording
             continue
         if _implausible(righted.recording, body, Units()) is None:
-            found.append((_missed(righted, body), tried, righted))
+            found.append((_missed(righted, body, rules), tried, righted))
     if not found:
         return told, (), reading
     # the first one where no torque tells
     missed, mistakes, righted = min(found, key=lambda each: each[0])
-    if told is None and not missed < min(BETTER * _missed(reading, body), NEAR):
+    if told is None and not missed < min(limits.max_remaining * _missed(reading, body, rules), limits.max_right_misfit):
         return None, (), reading
     degrees = any(mistake.kind == "degrees" for mistake in mistakes)
-    if degrees and (shares := _shares(reading, body, borne_out=0 < missed < BORNE_OUT)) is not None:
+    if degrees and (shares := _shares(reading, body, 0 < missed < limits.degrees_misfit, rules)) is not None:
         return told, (shares,), reading
     return told, mistakes, righted
 
@@ -81,7 +78,7 @@ def _rows(recording: Recording) -> int:
     return int((seen if recording.angles is None else seen | np.isfinite(recording.angles).any(1)).sum())
 
 
-def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool) -> Mistake | None:
+def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool, rules: Rules) -> Mistake | None:
     """That a mapping's numbers are, or may be, shares of each joint's range; None where they are degrees.
 
     ``borne_out``: whether the torques say that they are degrees.
@@ -95,8 +92,8 @@ def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool) -> Mistake
         return None
     raw = RobotTerms.of(body, np.zeros_like(angles), reading.maps).angle.raw(angles)
     low, high = np.nanmin(raw, axis=0, initial=np.inf), np.nanmax(raw, axis=0, initial=-np.inf)
-    beyond = bool((np.maximum(-low, high) > ENDS[1] + AT_END).any())
-    ends = bool((np.abs(np.stack([-low, high]) - ENDS[1]) <= AT_END).any())
+    beyond = bool((np.maximum(-low, high) > ENDS[1] + rules.check.range_tolerance).any())
+    ends = bool((np.abs(np.stack([-low, high]) - ENDS[1]) <= rules.check.range_tolerance).any())
     if beyond or (borne_out and not ends):
         return None
     lines = " and ".join(f'"{track} = …"' for track in (("angle", "target") if reading.targets else ("angle",)))
@@ -109,7 +106,7 @@ def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool) -> Mistake
     return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
 
 
-def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
+def motions(reading: Reading, body: ArticulatedBody, rules: Rules = DEFAULT) -> list[Motion]:
     """Motion and torques under each window; none where no torque is known, or none acts to speak of.
 
     Raises InputError where a joint of the body has no torques.
@@ -125,7 +122,7 @@ def motions(reading: Reading, body: ArticulatedBody) -> list[Motion]:
             f"got none of {missing!r}: rename the columns, or map them (--map)"
         )
     angle = recording.angles[:, order] if recording.angles is not None else recorded_angles(recording, body)
-    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.maps)
+    return smoothings(body, recording.time, angle, recording.torques[:, order], reading.maps, rules)
 
 
 def idle(recording: Recording, body: ArticulatedBody) -> bool:
@@ -136,10 +133,10 @@ def idle(recording: Recording, body: ArticulatedBody) -> bool:
     return not bool((np.abs(recording.torques) > NEGLIGIBLE * typical).any())
 
 
-def _missed(reading: Reading, body: ArticulatedBody) -> float:
+def _missed(reading: Reading, body: ArticulatedBody, rules: Rules) -> float:
     """The misfit of the torques under the window that it is least under; 0 where none are known."""
     dynamics = dynamics_for(body)
-    return min((explain(dynamics, body, each).misfit for each in motions(reading, body)), default=0.0)
+    return min((explain(dynamics, body, each).misfit for each in motions(reading, body, rules)), default=0.0)
 
 
 def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:

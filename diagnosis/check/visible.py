@@ -6,19 +6,16 @@ It is the diagnosis' own screen (:mod:`..sensitivity.screen`) along the data's p
 from dataclasses import dataclass
 
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
-
-ROWS = 600
-"""Rows that a look is taken at."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +28,14 @@ class Visible:
     @property
     def hidden(self) -> tuple[str, ...]:
         """Keys of those that would not show."""
-        return tuple(name for name, value in self.dprime.items() if value < RULE.faint)
+        unseen = {name for names in self.record.values() for name in names}
+        return tuple(name for name in self.dprime if name in unseen)
 
 
-def visible(recording: Recording, body: ArticulatedBody, passive: bool = False) -> Visible:
-    """Look at the first ``ROWS`` rows of a recording; raises InputError as a diagnosis does where it does not fit."""
-    bound = diagnosis_problem(recording.select(0, min(ROWS, recording.num_frames)), body, passive=passive)
+def visible(recording: Recording, body: ArticulatedBody, passive: bool = False, rules: Rules = DEFAULT) -> Visible:
+    """Look at the first `max_look_rows` rows of a recording; raises InputError where it does not fit the body."""
+    rows = min(rules.check.max_look_rows, recording.num_frames)
+    bound = diagnosis_problem(recording.select(0, rows), body, passive=passive, rules=rules)
     try:
         with diverging():
             path, _ = data_path(bound)
@@ -49,6 +48,6 @@ def visible(recording: Recording, body: ArticulatedBody, passive: bool = False) 
     dprime = dict(sorted(dprime.items(), key=lambda item: -item[1]))
     record: dict[str, list[str]] = {}
     for s in added(screened):
-        if s.dprime < RULE.faint:
+        if s.dprime < rules.evidence.min_dprime:
             record.setdefault(EFFECTS[s.effect.name].shown_by, []).append(key(s.effect))
     return Visible(dprime, {what: tuple(sorted(names)) for what, names in record.items()})

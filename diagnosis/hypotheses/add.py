@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.expected_gain import DOUBT, ERRS, RIVAL, UNEXPLAINED, needed
+from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -33,18 +32,13 @@ from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.problem.regime import imitable
 from invdyn.diagnosis.problem.unknowns import expanded_about
+from invdyn.diagnosis.rules import Rules
 from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, screen, screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
-
-WIDTH = 10, 4
-"""Candidates that are refined at most, beside nothing and beside other effects."""
-PAIR = 2
-"""Candidates that are refined side by side, before the next ones are measured by them."""
 
 
 def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
@@ -52,12 +46,15 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
     known, number = problem.regime.knows_torque, len(base.effects) + 1
     screened = screened_with(problem, found, base)
     found.first = found.first or screened
-    refined = refine_best(problem, found, base, screened, WIDTH[bool(others(base))])
+    limits = problem.rules.search
+    width = limits.max_candidates_added if others(base) else limits.max_candidates_alone
+    refined = refine_best(problem, found, base, screened, width)
     follow_neighbours(problem, found, number)
     least = -np.inf if known else idle(screened)
     if not known and show_more(problem, found.best, prediction_errors(problem, found.best)):
         tried = {s.effect.key for s in refined}
-        barred = [s for s in _seen(screened) if s.effect.key not in tried and _may_show(s, _nothing(screened))]
+        barred = [s for s in _seen(screened, problem.rules) if s.effect.key not in tried]
+        barred = [s for s in barred if _may_show(s, _nothing(screened), problem.rules)]
         found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
         follow_neighbours(problem, found, number)
         least = -np.inf
@@ -97,23 +94,23 @@ def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screene
 def _promising(found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened]) -> list[Added]:
     """Screened effects that may raise the posterior, added to ``base``: it has their prior against it."""
     nothing, temper = _nothing(screened), found.temper
-    least = log_prior_of(base.effects, found.candidates) - DOUBT
+    least = found.log_prior(base.effects) - found.rules.search.screen_error
 
     def worth(s: Added) -> bool:
-        prior = log_prior_of((*base.effects, s.effect), found.candidates)
+        prior = found.log_prior((*base.effects, s.effect))
         return temper * (s.log_evidence - nothing) + prior > least
 
     return [s for s in added(screened) if worth(s)]
 
 
-def _seen(screened: Sequence[Screened]) -> list[Added]:
+def _seen(screened: Sequence[Screened], rules: Rules) -> list[Added]:
     """Effects that no torque imitates, and that this recording could show."""
-    return [s for s in added(screened) if not imitable(s.effect) and s.dprime > RULE.faint]
+    return [s for s in added(screened) if not imitable(s.effect) and s.dprime > rules.evidence.min_dprime]
 
 
-def _may_show(s: Added, nothing: float) -> bool:
+def _may_show(s: Added, nothing: float, rules: Rules) -> bool:
     """Whether an effect gains anything, or has a softer form, which may where the ideal law explains nothing."""
-    return s.log_evidence > nothing + DOUBT or s.effect.softened() is not None
+    return s.log_evidence > nothing + rules.search.screen_error or s.effect.softened() is not None
 
 
 def refine_best(
@@ -127,11 +124,11 @@ def refine_best(
     if problem.regime.knows_torque:
         wanted = _promising(found, base, screened)
     else:
-        wanted = [s for s in _seen(screened) if s.log_evidence > idle(screened)]
-    few, refined = wanted[:width], list[Added]()
-    for pair in (few[:1], *(few[i : i + PAIR] for i in range(1, len(few), PAIR))):
-        times = RIVAL if found.best.complete else UNEXPLAINED
-        least = nothing + needed(screened[0].log_evidence - nothing, times)
+        wanted = [s for s in _seen(screened, problem.rules) if s.log_evidence > idle(screened)]
+    few, refined, size = wanted[:width], list[Added](), problem.rules.search.batch_size
+    for pair in (few[:1], *(few[i : i + size] for i in range(1, len(few), size))):
+        gain = screened[0].log_evidence - nothing
+        least = nothing + needed(gain, explained=found.best.complete, rules=problem.rules)
         pair = [each for each in pair if not refined or each.log_evidence >= least]
         found.add_all(problem, [partial(_refined, problem, base, each, fair_chance(found, base)) for each in pair])
         refined += pair
@@ -164,13 +161,18 @@ def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: Fitte
     play may imitate, or be imitated by. It must make good a share of what its base is behind.
     """
     beside, behind = others(base), found.top - base.log_evidence
+    errs = problem.rules.search.large_screen_error
     slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
     # Beside what explains less than stray detections do, they come first.
-    slips = slips and (not beside or base.log_evidence > found.cleaned - ERRS)
-    slips = slips and not (found.explained and ((base.effects and base.complete) or behind > ERRS))
+    slips = slips and (not beside or base.log_evidence > found.cleaned - errs)
+    slips = slips and not (found.explained and ((base.effects and base.complete) or behind > errs))
 
     def searched(effect: Effect) -> list[FittedHypothesis | None]:
-        enough = base.log_evidence + behind / UNEXPLAINED if isinstance(effect, HiddenHinge) else found.top - ERRS
+        enough = (
+            base.log_evidence + behind / problem.rules.search.unexplained_factor
+            if isinstance(effect, HiddenHinge)
+            else found.top - errs
+        )
         return [attempt(refine_searched, problem, base, effect, max(enough, least))]
 
     keys = {effect.key for effect in base.effects}

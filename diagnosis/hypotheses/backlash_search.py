@@ -3,6 +3,7 @@
 What play does hangs on when its gap is crossed, and along the path of another width, or of none, that shows little of
 what it explains. So each width gets a path that is led to it from the base's (:func:`.continuation.led`), along
 which the base's unknowns are refined. The evidence there is smooth in the width's logarithm and has one top, far
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from it too. Steps lead there, then parabolas,
 
     log Z(x ± h),  log Z(x):   top  x + h (r − l) / 2c,   variance  h² / c,   c = 2 log Z(x) − l − r,
@@ -24,27 +25,13 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import FIRM
-from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.problem.unknowns import bounds, unknowns
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
-
-EARNED = 2.0
-"""Nats that play must gain over its base to be looked at further."""
-WIDER = 0.1
-"""rad, of play that bends a path by so much that a narrower one may not lead to it."""
-STRIDE, FINEST, NARROW, EVALUATIONS = 0.4, 0.012, 4.0, 24
-"""First step of the logarithm, and the last: a path that stands alone among its neighbours leaves a spike at any step.
-Nats that a step from the top may cost for a parabola to hold; evaluations at most."""
-ROUNDS = 4
-"""Of path and unknowns; where a stop of the joint moves with the width, two leave forty nats."""
-NEAR = 0.15
-"""Of a logarithm: so near to the best width its path is where to begin; what leads to it may find another one."""
-LOST = -1e9
-"""Log evidence where the simulation does not run."""
 
 
 @dataclass
@@ -84,9 +71,9 @@ class Play:
         common, gained = unknowns(problem, base.effects), []
         for model in map(self.model, widths):
             path = lifted(model, base.path)
-            columns = slopes(model, common, base.mean, 0.05 * base.sd, path)
+            columns = slopes(model, common, base.mean, problem.rules.screening.slope_step * base.sd, path)
             whitened = whiten(problem, filter_of(problem, model, path, levels), columns)
-            evidence = np.array([o.log_evidence for o in expansions(whitened, common, base.mean)])
+            evidence = np.array([o.log_evidence for o in expansions(whitened, common, base.mean, problem.rules)])
             gained.append(float(logsumexp(evidence + problem.regime.log_prior)) + sum(base.noise_log.values()))
         return gained
 
@@ -98,30 +85,38 @@ class Play:
         known = [cause for cause in self.tried.values() if cause is not None]
         nearest = min(known, key=lambda cause: abs(cause.noise[self.name] - width), default=self.base)
         model, effects = self.model(width), (*self.base.effects, self.effect)
-        if self.best is not None and abs(np.log(width / self.best.noise[self.name])) < NEAR:
+        if (
+            self.best is not None
+            and abs(np.log(width / self.best.noise[self.name])) < self.problem.rules.descent.near_width
+        ):
             path = self.best.path
         else:
-            path = led(self.problem, model, lifted(model, self.base.path), FIRM)
+            path = led(self.problem, model, lifted(model, self.base.path), self.problem.min_size)
         values = nearest.values | {self.name: width}
-        return refine(self.problem, effects, values, path, FIRM, **self.base.searched, rounds=ROUNDS)
+        size, rounds = self.problem.min_size, self.problem.rules.descent.width_rounds
+        return refine(self.problem, effects, values, path, size, **self.base.searched, rounds=rounds)
 
     def score(self, log_width: float) -> float:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
-        width = min(float(np.exp(log_width)), upper_bound(self.parameter))
+        width = min(float(np.exp(log_width)), bounds(self.parameter, self.problem.rules)[1])
         if width not in self.tried:
             self.problem.budget.ask(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
-        return LOST if cause is None else cause.log_evidence + log_density_of([self.parameter], np.array([width]))
+        return (
+            FIXED.failed_score
+            if cause is None
+            else cause.log_evidence + log_density_of([self.parameter], np.array([width]))
+        )
 
 
 def refine_play(
     problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float = -np.inf
 ) -> FittedHypothesis | None:
     """``base`` and play; None if nothing is gained, or if what was looked at first stays under ``enough`` nats."""
-    (parameter,), points = grid(effect, problem.model.scale)
+    (parameter,), points = grid(effect, problem.model.scale, problem.rules)
     play, widths = Play(problem, base, effect, parameter), [width for (width,) in points]
-    least = max(base.log_evidence + EARNED, enough)
+    least = max(base.log_evidence + problem.rules.search.min_gain, enough)
     # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
     if base.complete and max(play.along_base(widths[1:4:2])) < least:
         return None
@@ -129,18 +124,23 @@ def refine_play(
     if max(gained) < least:
         return None
     # What the narrowest gap explains as well as any, and as the next one, is none of the gap's.
-    if max(gained) < gained[0] + EARNED and gained[1] > gained[0] - EARNED:
+    if (
+        max(gained) < gained[0] + problem.rules.search.min_gain
+        and gained[1] > gained[0] - problem.rules.search.min_gain
+    ):
         return None
     start = float(np.log(widths[int(np.argmax(gained))]))
-    for step in (0.0, STRIDE, -STRIDE):
+    for step in (0.0, problem.rules.descent.width_step, -problem.rules.descent.width_step):
         play.score(start + step)
     if play.best is None or play.best.log_evidence < least:
         return None
-    top, variance = summit(play.score, start)
+    top, variance = summit(play.score, start, problem.rules)
     if not play.best.complete:
-        wider = max((float(np.log(width)) for width in widths if width > WIDER), key=play.score)
+        wider = max(
+            (float(np.log(width)) for width in widths if width > problem.rules.descent.wide_backlash), key=play.score
+        )
         if play.score(wider) > play.score(top):
-            top, variance = summit(play.score, wider)
+            top, variance = summit(play.score, wider, problem.rules)
     play.score(top)
     cause = play.best
     width = cause.noise[play.name]
@@ -151,13 +151,13 @@ def refine_play(
     found = replace(cause, log_evidence=evidence, by_size=by_size, noise_log=noise_log, noise_sd=noise_sd)
     if not found.names:
         return found
-    settled = refine(problem, found.effects, found.values, found.path, FIRM, **found.searched, rounds=3)
+    settled = refine(problem, found.effects, found.values, found.path, problem.min_size, **found.searched, rounds=3)
     return max(found, settled, key=lambda each: each.log_evidence)
 
 
-def summit(score: Callable[[float], float], start: float) -> tuple[float, float]:
+def summit(score: Callable[[float], float], start: float, rules: Rules = DEFAULT) -> tuple[float, float]:
     """Mode of a smooth function of one number, and the variance, at most one, of the Gaussian that it is there."""
-    x, h, values = start, STRIDE, dict[float, float]()
+    x, h, values = start, rules.descent.width_step, dict[float, float]()
 
     def at(x: float) -> float:
         if x not in values:
@@ -166,13 +166,13 @@ def summit(score: Callable[[float], float], start: float) -> tuple[float, float]
 
     while True:
         here, left, right = at(x), at(x - h), at(x + h)
-        spare = len(values) < EVALUATIONS
+        spare = len(values) < rules.descent.max_width_evaluations
         if max(left, right) > here and spare:
             x = x + h if right > left else x - h
             continue
         curvature = max(2 * here - left - right, 1e-9)
         top, variance = x + np.clip(h * (right - left) / (2 * curvature), -h, h), h**2 / curvature
-        if curvature < 2 * NARROW or h < FINEST or not spare:
+        if curvature < 2 * rules.descent.max_parabola_loss or h < rules.descent.min_width_step or not spare:
             return float(top), float(min(variance, 1.0))
         if abs(top - x) > h / 10 and at(top) > here:
             x = top

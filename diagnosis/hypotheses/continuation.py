@@ -8,20 +8,11 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.fixed_point import settled
-
-STRAY = 5.0
-"""Standard deviations beyond which a detection counts as stray when the first path is judged."""
-SLACK = (1000.0, 100.0, 10.0, 1.0)
-"""Factors on the dynamics' own noise, one after the other, by which a path is led to a stiff chain's."""
-ITERATIONS, PATIENT, CLOSE = 6, 20, 0.3
-"""Gauss–Newton steps at each of them, at most, or all at once; and the gain in nats under which they end."""
-STEPS = 3
-"""They take in the middle, from a path that is near."""
 
 
 def data_path(problem: DiagnosisProblem) -> tuple[Tensor, bool]:
@@ -34,7 +25,7 @@ def data_path(problem: DiagnosisProblem) -> tuple[Tensor, bool]:
     rows = torch.arange(len(path))
     with torch.no_grad():
         seen = loose.emission(path, rows).base_dist
-        far = ((problem.observations - seen.loc) / seen.scale).abs() > STRAY
+        far = ((problem.observations - seen.loc) / seen.scale).abs() > problem.rules.recording.path_outlier_sds
     if not bool(far.any()):
         return path, False
     # What jumps has led the first path to where it is: it must not be what the second one starts from.
@@ -55,11 +46,15 @@ def led(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -
     much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
     """
     names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
-    for slack in SLACK:
+    for slack in problem.rules.descent.lead_slack:
         loose = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = problem.with_residual(min(max(problem.regime.loose, size), max(size, FIRM) * slack ** (2 / 3)), loose)
-        path = gauss_newton_path(quiet, problem.observations, path, ITERATIONS, CLOSE)
-        problem.budget.spend(ITERATIONS, loose, len(path))
+        quiet = problem.with_residual(
+            min(max(problem.regime.loose, size), max(size, problem.min_size) * slack ** (2 / 3)), loose
+        )
+        path = gauss_newton_path(
+            quiet, problem.observations, path, problem.rules.descent.lead_steps, problem.rules.descent.path_tolerance
+        )
+        problem.budget.spend(problem.rules.descent.lead_steps, loose, len(path))
     return path
 
 
@@ -69,9 +64,11 @@ def firmed(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float
     Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need to be led,
     and the better of both paths is taken.
     """
-    quiet = problem.with_residual(max(size, FIRM), model)
-    own = gauss_newton_path(quiet, problem.observations, path, PATIENT, CLOSE)
-    problem.budget.spend(STEPS, model, len(path))
+    quiet = problem.with_residual(max(size, problem.min_size), model)
+    own = gauss_newton_path(
+        quiet, problem.observations, path, problem.rules.descent.firm_steps, problem.rules.descent.path_tolerance
+    )
+    problem.budget.spend(FIXED.firm_cost, model, len(path))
     if not model.effects.abrupt:
         return own
     other = led(problem, model, path, size)
@@ -88,5 +85,6 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
         return settled(model, path)
     path = torch.cat([path[:, :torque], path[:, torque + has :]], -1)
     if model.jumping is not None:
-        return latent_response(model, path, 1)[0].squeeze(0)
+        path, _ = latent_response(model, path, 1, DEFAULT)  # a gap has no slopes
+        return path.squeeze(0)
     return torch.cat([path[:, :torque], path.new_zeros(len(path), needs), path[:, torque:]], -1)

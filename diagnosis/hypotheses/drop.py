@@ -12,14 +12,13 @@ from invdyn.diagnosis.hypotheses.swap import refine_softer
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.models.effects.base import Effect
 
 
 def drop(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
     """Leave out each effect of the best set; what stood beside an ideal law may stand for the softer form of that."""
     for effect in best.effects:
-        found.add(attempt(without, problem, best, effect, FIRM))
+        found.add(attempt(without, problem, best, effect, problem.min_size))
         rest = key_of([other for other in best.effects if other is not effect])
         if rest in found.pool:
             refine_softer(problem, found, found.pool[rest])

@@ -14,7 +14,7 @@ one of them is likelier there, the search is made under that as well:
 Where "no effect" leaves nothing of the equations themselves, no engine is asked for.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from torch import Tensor
 
@@ -24,8 +24,6 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import log_prior_of
-from invdyn.models.effects.base import Effect
 
 
 def search_either(
@@ -43,11 +41,13 @@ def search_either(
         own, other = other, own
     found = search(own)
     best = found.best
-    worth = _worth(best, found.candidates)
-    if not best.effects or not any(_worth(c, found.candidates) > worth for c in _under(other, own, best)):
+    worth = best.log_evidence + found.log_prior(best.effects)
+    if not best.effects or not any(
+        c.log_evidence + found.log_prior(c.effects) > worth for c in _under(other, own, best)
+    ):
         return own, found
     again = attempt(search, other)
-    if again is None or _worth(again.best, found.candidates) <= worth:
+    if again is None or again.best.log_evidence + found.log_prior(again.best.effects) <= worth:
         return own, found
     return other, again
 
@@ -61,7 +61,3 @@ def _under(law: DiagnosisProblem, own: DiagnosisProblem, best: FittedHypothesis)
     parts = [attempt(without, law, whole, effect, size) for effect in best.effects if len(best.effects) > 1]
     parts.append(attempt(refine, law, (), {}, best.path, size))
     return [whole, *(part for part in parts if part is not None)]
-
-
-def _worth(cause: FittedHypothesis, candidates: Sequence[Effect]) -> float:
-    return cause.log_evidence + log_prior_of(cause.effects, candidates)

@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn.diagnosis.hypotheses.add import free_beside, refine_best
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import RIVAL, needed
+from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.cause import FittedHypothesis
@@ -21,10 +21,6 @@ from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.models.effects.base import Effect
-
-SWAPS, FAIR = 2, 0.3
-"""Candidates that are refined when one is to take another's place; what they have to gain by themselves where the best
-cause leaves nothing, of what the best effect does."""
 
 
 def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
@@ -49,9 +45,15 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
         screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
         nothing = next(s.log_evidence for s in screened if s.effect is None)
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
-        least = nothing + needed(found.top - nothing, RIVAL)
+        least = nothing + needed(found.top - nothing, explained=True, rules=problem.rules)
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
-        refine_best(problem, found, replace(base, model=model, path=path, log_evidence=nothing), near, SWAPS)
+        refine_best(
+            problem,
+            found,
+            replace(base, model=model, path=path, log_evidence=nothing),
+            near,
+            problem.rules.search.max_candidates_exchanged,
+        )
     follow_neighbours(problem, found, len(best.effects))
 
 
@@ -60,5 +62,5 @@ def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:
     gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
     if not gained:
         return list(effects)
-    least = gained[None] + FAIR * (max(gained.values()) - gained[None])
+    least = gained[None] + found.rules.search.min_exchange_share * (max(gained.values()) - gained[None])
     return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]

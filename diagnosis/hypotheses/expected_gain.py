@@ -10,21 +10,18 @@ r/s on development cases. Nineteen in twenty (99 in 100) stay under
 
 Errors are largest where no candidate has explained the gap yet. So what a refinement may gain at most is taken to be
 
-    s + max(ERRS, (times − 1) s),
+    s + max(large_screen_error, (times − 1) s)
 
-with so many ``times`` as are stated below.
+with unexplained_factor or rival_factor ``times`` (:mod:`invdyn.diagnosis.rules`).
 """
 
-DOUBT = 5.0
-"""Nats by which the screen errs where there is little to gain."""
-
-ERRS = 60.0
-"""Nats by which it errs, at least, where there is much."""
-
-UNEXPLAINED, RIVAL = 10.0, 2.0
-"""Times as much as it says: where every cause leaves something; and of a rival of what is known, which shows half."""
+from invdyn.diagnosis.rules import DEFAULT, Rules
 
 
-def needed(wanted: float, times: float) -> float:
-    """Nats that a candidate must gain in the screen, for its refinement may gain ERRS more, or so many ``times``."""
-    return min(wanted - ERRS, wanted / times)
+def needed(wanted: float, *, explained: bool, rules: Rules = DEFAULT) -> float:
+    """Nats that a candidate must gain in the screen so that its refinement may gain what is ``wanted``.
+
+    Whether another cause explains the gap already decides how many times as much it may gain.
+    """
+    times = rules.search.rival_factor if explained else rules.search.unexplained_factor
+    return min(wanted - rules.search.large_screen_error, wanted / times)

@@ -25,16 +25,11 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_mistake
-from invdyn.diagnosis.problem.prior import log_prior_of
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.side_by_side import side_by_side
 
-DEGREES = (4.0, 8.0, 16.0)
-"""Of freedom: with fewer, detections stray."""
-WIDTH, FITTED = "emission.keypoint_scale", 3
-"""The law's width, and times that it is set to what is left."""
-BEHIND = 30.0
-"""Nats behind the best from which on a cause is not carried over."""
+WIDTH = "emission.keypoint_scale"
+"""The law's width."""
 
 
 def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
@@ -47,16 +42,18 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     rest = _without_strays(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
         return problem, found
-    laws = [_fitted(problem, rest, degrees) for degrees in DEGREES]
+    degrees = problem.rules.residual.tail_degrees
+    laws = [_fitted(problem, rest, each) for each in degrees]
     worth, tailed, there = max(laws, key=lambda law: law[0])
-    named, unnamed = (log_prior_of(each.effects, found.candidates) for each in (best, rest))
-    rivals = worth - log(len(DEGREES)) + unnamed - named  # log evidence up to which stray detections are less likely
+    named, unnamed = (found.log_prior(each.effects) for each in (best, rest))
+    # Log evidence up to which outliers are less likely.
+    rivals = worth - log(len(degrees)) + unnamed - named
     if best.log_evidence <= rivals:
         # It may be the path: where no torque holds it, Gauss–Newton bends it to detections that stray.
         found.add(_with_strays(problem, best, there))
     if found.pool[best.key].log_evidence > rivals:
         return problem, found
-    least = found.score(best) - BEHIND
+    least = found.score(best) - problem.rules.search.max_tail_gap
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
     bare = {cause.key: cause for cause in (_without_strays(problem, each) for each in reversed(near))}
     candidates = [effect for effect in found.candidates if effect.name not in MISTAKES]
@@ -96,7 +93,7 @@ def _fitted(
     model = problem.model.observed_by(problem.model.observation.with_family("multivariate_t"))
     model = model.replace(**{"emission.df": torch.full((1,), degrees, dtype=model.dtype)})
     tailed = problem
-    for _ in range(FITTED):
+    for _ in range(problem.rules.search.num_tail_fits):
         tailed = replace(problem, problem=replace(problem.problem, model=model))
         refined = _carried(tailed, cause)
         if refined is None:

@@ -7,11 +7,11 @@ from math import log
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.prior import MOST_EFFECTS, another, log_prior_of, tempered
-from invdyn.diagnosis.problem.regime import COMMANDED
+from invdyn.diagnosis.problem.prior import another, log_prior_of, tempered
+from invdyn.diagnosis.problem.regime import regimes
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
@@ -34,8 +34,8 @@ class HypothesisPool:
         workers: processes that may work side by side.
         followed: log evidence by key of causes that were followed to a neighbour of that key (:mod:`.swap`).
         stray: whether some detections are far from it.
-        most: effects at once, at most.
         missed: candidates that the budget had nothing left for.
+        rules: the problem's.
     """
 
     candidates: list[Effect]
@@ -46,8 +46,8 @@ class HypothesisPool:
     aside: Tensor | None = None
     workers: int = 1
     followed: dict[str, float] = field(default_factory=dict)
-    most: int = MOST_EFFECTS
     missed: int = 0
+    rules: Rules = DEFAULT
 
     @property
     def top(self) -> float:
@@ -57,12 +57,12 @@ class HypothesisPool:
     @property
     def temper(self) -> float:
         """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
-        return tempered(self.top - self.cleaned)
+        return tempered(self.top - self.cleaned, self.rules.evidence.temper_scale)
 
     def temper_within(self, effect: Effect | None = None) -> float:
         """Power for intervals of an effect's parameters, or the body's: all gain speaks of stray detections."""
         beside = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
-        return tempered(self.top - beside, RULE.alpha_within)
+        return tempered(self.top - beside, self.rules.evidence.temper_scale_within)
 
     def score(self, cause: FittedHypothesis) -> float:
         """Log posterior but for a constant.
@@ -71,14 +71,18 @@ class HypothesisPool:
         that surely leaves something has another effect beside it, which has its prior.
         """
         none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
-        stray = tempered(self.top - none) * (min(cause.log_evidence, cleaned) - none)
+        stray = tempered(self.top - none, self.rules.evidence.temper_scale) * (min(cause.log_evidence, cleaned) - none)
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
-        rest = log(another(len(cause.effects), self.most)) if self.leaves(cause) else 0.0
-        return stray + beyond + log_prior_of(cause.effects, self.candidates) + rest
+        rest = log(another(len(cause.effects), self.rules)) if self.leaves(cause) else 0.0
+        return stray + beyond + self.log_prior(cause.effects) + rest
 
     def leaves(self, cause: FittedHypothesis) -> bool:
         """Whether a residual surely gains evidence beside a cause."""
-        return leaves(cause, self.pool[""])
+        return leaves(cause, self.pool[""], self.rules)
+
+    def log_prior(self, effects: Sequence[Effect]) -> float:
+        """Log prior probability of a cause of these effects."""
+        return log_prior_of(effects, self.candidates, self.rules)
 
     @property
     def cleaned(self) -> float:
@@ -125,16 +129,16 @@ def others(cause: FittedHypothesis) -> list[Effect]:
     return [effect for effect in cause.effects if effect.name not in MISTAKES]
 
 
-def leaves(cause: FittedHypothesis, none: FittedHypothesis) -> bool:
-    """Whether a residual surely gains evidence beside a cause: ``few`` nats, and ``little``² of those beside ``none``.
+def leaves(cause: FittedHypothesis, none: FittedHypothesis, rules: Rules = DEFAULT) -> bool:
+    """Whether a residual gains more evidence with a cause than chance, and than a share² of that with ``none``.
 
     A limb's own torque is always left, and no cause by itself leaves what no cause explains.
     """
-    if not cause.effects or len(cause.by_size) != len(COMMANDED.levels):
+    prior = regimes(rules)["commanded"].log_prior
+    if not cause.effects or len(cause.by_size) != len(prior):
         return False
-    prior = COMMANDED.log_prior
     left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
-    return left > RULE.few + RULE.little**2 * gap
+    return left > rules.residual.min_residual_gain + rules.residual.max_share_left**2 * gap
 
 
 def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[Effect]:

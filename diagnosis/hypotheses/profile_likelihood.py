@@ -19,23 +19,19 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.backlash_search import EARNED, refine_play
+from invdyn.diagnosis.hypotheses.backlash_search import refine_play
 from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of, kept_hypothesis
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
-from invdyn.diagnosis.problem.regime import FIRM
-from invdyn.diagnosis.problem.unknowns import unknowns, upper_bound
+from invdyn.diagnosis.problem.unknowns import bounds, unknowns
 from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, seen_as, seen_rows, slopes_along
 from invdyn.models.effects.base import Effect
-
-TURNS, MUCH = 4, 50.0
-"""Times that each of several is looked for again, at most, and nats that the last has to gain beside them for that."""
 
 
 def refine_searched(
@@ -55,16 +51,16 @@ def _searched(
 ) -> FittedHypothesis | None:
     if not is_noise(effect):
         return refine_play(problem, base, effect, enough)
-    best = _added(problem, base, effect, max(base.log_evidence + EARNED, enough))
-    if best is None or best.log_evidence < base.log_evidence + MUCH:
+    best = _added(problem, base, effect, max(base.log_evidence + problem.rules.search.min_gain, enough))
+    if best is None or best.log_evidence < base.log_evidence + problem.rules.descent.min_repeat_gain:
         return best
     turns = [*(each for each in base.effects if is_noise(each)), effect]
     last = effect
-    for each in islice(cycle(turns), TURNS * len(turns)):
+    for each in islice(cycle(turns), problem.rules.descent.max_searches * len(turns)):
         if each is last:
             break  # every other one has had its turn since
         again = _added(problem, best.less(problem, each), each, -np.inf, best.noise)
-        if again is not None and again.log_evidence > best.log_evidence + EARNED:
+        if again is not None and again.log_evidence > best.log_evidence + problem.rules.search.min_gain:
             best, last = again, each
     return best
 
@@ -80,12 +76,12 @@ def _added(
 
     None if that stays under ``least`` nats.
     """
-    parameters, points = grid(effect, problem.model.scale)
+    parameters, points = grid(effect, problem.model.scale, problem.rules)
     names = [f"{effect.key}.{p.name}" for p in parameters]
     if values is not None:
         points = [*points, tuple(values[name] for name in names)]
     common, levels = unknowns(problem, base.effects), problem.regime.sizes
-    columns = slopes(base.model, common, base.mean, 0.05 * base.sd, base.path)
+    columns = slopes(base.model, common, base.mean, problem.rules.screening.slope_step * base.sd, base.path)
     model, some = base.model.with_effects(effect), _telling(base, levels)
 
     def along(cause: FittedHypothesis) -> tuple[Tensor, Slopes, Linearisation]:
@@ -94,7 +90,7 @@ def _added(
         return cause.path, tangents, linear_of(problem, cause.model, cause.path, tangents)
 
     path, tangents, moving = along(base)
-    most = np.array([upper_bound(p) for p in parameters])
+    most = np.array([bounds(p, problem.rules)[1] for p in parameters])
 
     def by_size(values: np.ndarray) -> np.ndarray:
         """Log evidence with ``some`` sizes of the residual, and their prior weights."""
@@ -102,7 +98,7 @@ def _added(
         here = model.replace(**given)
         linear = seen_as(moving, seen_rows(here, path, problem.observations), tangents[1])
         whitened = whiten(problem, filter_of(problem, here, path, levels[some], linear), columns)
-        found = [outcome.log_evidence for outcome in expansions(whitened, common, base.mean)]
+        found = [outcome.log_evidence for outcome in expansions(whitened, common, base.mean, problem.rules)]
         return np.array(found) + problem.regime.log_prior[some]
 
     def score(log_values: np.ndarray) -> float:
@@ -115,14 +111,14 @@ def _added(
         return None
     # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
     # most detections stray; a limb's own torque is as large as it was found.
-    size = FIRM if problem.regime.knows_torque else float(levels[base.by_size.argmax()])
+    size = problem.min_size if problem.regime.knows_torque else float(levels[base.by_size.argmax()])
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
     begun = np.log(start)
     values = base.values | dict(zip(names, np.exp(begun).tolist(), strict=True))
     cause = refine(problem, (*base.effects, effect), values, path, size, rounds=2)
     (path, tangents, moving), some = along(cause), _telling(cause, levels)
-    climbed, covariance, integral = climb(score, begun)
+    climbed, covariance, integral = climb(score, begun, problem.rules)
     climbed = np.minimum(climbed, np.log(most))
     own = integral - float(logsumexp(by_size(np.exp(climbed))))
     noise_log = base.noise_log | {effect.key: own}

@@ -28,8 +28,8 @@ from invdyn.diagnosis.hypotheses.kept_hypotheses import kept_hypothesis
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.evidence import learned
 from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
@@ -38,21 +38,6 @@ from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
 from invdyn.models import ArmModel
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
-
-ROUNDS = 6
-STEPS, CLOSE = 3, 0.3
-"""Gauss–Newton steps a round, at most, and the gain in nats under which they end."""
-REFUSED = 2
-"""Steps more that a round takes in the middle, of those that gain nothing and what is worked out along the last."""
-SHORTER = 25
-"""Steps, ever shorter ones, where none of those was a gain."""
-
-LOST = 2.0
-"""κ from which on Gauss–Newton has not found the path yet: no evidence to give a cause up for."""
-SETTLED = 0.1
-"""Change of a parameter, in its own standard deviations, under which it stays."""
-UNKEPT = 0.5
-"""Nats that a last step may promise and nobody has seen."""
 
 
 def refine(
@@ -66,7 +51,7 @@ def refine(
     noise_sd: Mapping[str, float] | None = None,
     enough: float = -np.inf,
     doubtful: float = -np.inf,
-    rounds: int = ROUNDS,
+    rounds: int | None = None,
 ) -> FittedHypothesis:
     """Refine a cause from parameter ``values`` ("<effect key>.<name>") and a path (T, D).
 
@@ -96,9 +81,11 @@ def _refined(
     noise_sd: Mapping[str, float] | None,
     enough: float,
     doubtful: float,
-    rounds: int,
+    given_rounds: int | None,
 ) -> FittedHypothesis:
     """What :func:`refine` returns; ``model`` is the problem's with the ``effects``."""
+    rules, patient = problem.rules.descent, given_rounds is None
+    rounds = given_rounds or rules.max_rounds
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
@@ -109,23 +96,27 @@ def _refined(
     point = np.clip(point, among.lower, among.upper)
     path = lifted(among.set_in(model, point), path)
     levels = problem.regime.sizes
-    step = 0.05 * 0.2 * among.sd
+    nudge = problem.rules.screening.slope_step
+    step = nudge * 0.2 * among.sd
     best: FittedHypothesis | None = None
     worth = most_seen = -np.inf
 
     def once(point: np.ndarray, path: Tensor, size: float, first: bool) -> tuple[FittedHypothesis, float]:
         """Path and expansion about ``point``: the cause where its parameters go, and the gain that promises."""
         here = among.set_in(model, point)
-        quiet = problem.with_residual(max(size, FIRM), here)
-        before, path = path, gauss_newton_path(quiet, problem.observations, path, STEPS, CLOSE)
-        problem.budget.spend(STEPS + REFUSED + 0.2 * len(point), here, len(path))
+        quiet = problem.with_residual(max(size, problem.min_size), here)
+        before, path = (
+            path,
+            gauss_newton_path(quiet, problem.observations, path, rules.path_steps, rules.path_tolerance),
+        )
+        problem.budget.spend(rules.path_steps + FIXED.refused_steps + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as what a looser chain left is, that no step was short enough.
-            path = gauss_newton_path(quiet, problem.observations, path, SHORTER, CLOSE)
-            problem.budget.spend(SHORTER, here, len(path))
+            path = gauss_newton_path(quiet, problem.observations, path, rules.max_short_steps, rules.path_tolerance)
+            problem.budget.spend(rules.max_short_steps, here, len(path))
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
         whitened = whiten(problem, filter_of(problem, here, path, levels), columns)
-        outcomes = expansions(whitened, among, point)
+        outcomes = expansions(whitened, among, point, problem.rules)
         by_size = np.array([o.log_evidence for o in outcomes]) + problem.regime.log_prior + sum(integrated.values())
         top = outcomes[int(by_size.argmax())]
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
@@ -170,25 +161,24 @@ def _refined(
                     raise
                 break  # a step too far; what was found before it stands
             used, size, path, sd = size, best_size(problem, cause), cause.path, cause.sd
-            step = 0.05 * sd
+            step = nudge * sd
             off = np.abs(cause.mean - point) / np.maximum(sd, 1e-300)
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
             true = cause.log_evidence - promised
-            if best is None or true > most_seen - UNKEPT:
+            if best is None or true > most_seen - rules.unseen_gain:
                 # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
                 best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
-            hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < LOST
+            hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < rules.max_lost_kappa
             # A path that was found under another residual is bent by it.
             # Where several parameters are known only together, a step that is short in each may be a long one.
-            settled = (off < SETTLED).all() and promised < UNKEPT
-            if (settled and max(used, FIRM) == max(size, FIRM)) or hopeless:
+            settled = (off < rules.settled_sds).all() and promised < rules.unseen_gain
+            if (settled and max(used, problem.min_size) == max(size, problem.min_size)) or hopeless:
                 break
             point = cause.mean
 
-    patient = rounds == ROUNDS
     if patient and model.effects.abrupt:
         # Where joints stick or strike, a path that leaves much to the residual misleads.
-        descend(point, led(problem, among.set_in(model, point), path, FIRM), FIRM, 1.0, 3)
+        descend(point, led(problem, among.set_in(model, point), path, problem.min_size), problem.min_size, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
     assert best is not None  # a first step that fails raises
@@ -198,9 +188,9 @@ def _refined(
             size = best_size(problem, best)
             firm = firmed(problem, among.set_in(model, best.mean), best.path, stiffness * size)
             descend(best.mean, firm, size, stiffness, 2)
-    if patient and best.log_evidence >= enough and best.log_evidence - worth > UNKEPT:
+    if patient and best.log_evidence >= enough and best.log_evidence - worth > rules.unseen_gain:
         descend(best.mean, best.path, best_size(problem, best), 0.0, rounds, fresh=False)
-    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > UNKEPT:
+    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > rules.unseen_gain:
         # It never came to rest: what it is known to be worth is where it was expanded.
         best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))

@@ -30,7 +30,7 @@ from typing import Any
 
 from torch import Tensor
 
-from invdyn.diagnosis.budget import SEARCH, Spent
+from invdyn.diagnosis.budget import Spent
 from invdyn.diagnosis.hypotheses.add import add, refine_best, screened_with
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import led
@@ -41,13 +41,8 @@ from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
-from invdyn.diagnosis.problem.prior import MOST_EFFECTS
-from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
-
-FEW = 2
-"""Candidates that are refined instead of stray detections."""
 
 Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
 """Refines what a base leads to, into the pool."""
@@ -59,15 +54,13 @@ def search(
     stray: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
-    most: int = MOST_EFFECTS,
 ) -> HypothesisPool:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
 
-    Of no more than ``most`` effects at once.
     Raises InputError where the simulation runs away from the recording whatever torque is added.
     """
-    found = _begun(problem, path, stray, considered(problem, left_out), workers, most)
-    problem.budget.share = SEARCH
+    found = _begun(problem, path, stray, considered(problem, left_out), workers)
+    problem.budget.share = problem.rules.search.search_share
     with suppress(Spent):
         _sought(problem, found)
     found.missed = len(problem.budget.missed - found.pool.keys())
@@ -106,26 +99,23 @@ def _moves(
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
             yield add, single
-    if len(best.effects) < found.most and not (best.complete and any(move is exchange for move, _ in made)):
+    if len(best.effects) < found.rules.search.max_effects and not (
+        best.complete and any(move is exchange for move, _ in made)
+    ):
         yield add, best
     if best.effects:
         yield exchange, best
 
 
 def _begun(
-    problem: DiagnosisProblem,
-    path: Tensor,
-    stray: bool,
-    candidates: list[Effect],
-    workers: int,
-    most: int = MOST_EFFECTS,
+    problem: DiagnosisProblem, path: Tensor, stray: bool, candidates: list[Effect], workers: int
 ) -> HypothesisPool:
     """A pool of "no effect", along the data's path and, where torques are known, along the simulation's own."""
 
     def along_its_own() -> tuple[Tensor, FittedHypothesis | None]:
         usual = problem.observing(problem.usual) if stray else problem
-        aside = led(usual, problem.model, path, FIRM)
-        return aside, attempt(refine, problem, (), {}, aside, FIRM)
+        aside = led(usual, problem.model, path, problem.min_size)
+        return aside, attempt(refine, problem, (), {}, aside, problem.min_size)
 
     starts: list[Callable[[], Any]] = [partial(attempt, refine, problem, (), {}, path, problem.regime.loose)]
     if problem.regime.knows_torque:
@@ -133,7 +123,7 @@ def _begun(
     none, *rest = side_by_side(starts, workers, problem.budget)
     if none is None or None in rest:
         raise cannot_follow(problem)
-    found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers, most=most)
+    found = HypothesisPool(candidates, {none.key: none}, [], path, stray, workers=workers, rules=problem.rules)
     for found.aside, alone in rest:
         found.add(alone)
     return found
@@ -157,6 +147,6 @@ def _mistaken(problem: DiagnosisProblem, found: HypothesisPool) -> None:
         return
     screened = screened_with(problem, found, none)
     tried = replace(found, pool=dict(found.pool))
-    refine_best(problem, tried, none, screened, FEW)
+    refine_best(problem, tried, none, screened, problem.rules.search.max_candidates_for_outliers)
     if tried.explained:
         found.pool, found.first = tried.pool, screened

@@ -18,37 +18,32 @@ import torch
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.scale import Scale
-
-EVALUATIONS = 16
-"""Of the score, for each parameter, at most in the simplex search."""
-QUANTILES = (0.1, 0.3, 0.6, 0.9)
-"""Of a prior that states no grid of its own: where the grid's points are."""
-DRAWS = 2000
-"""Of a prior, from which its quantiles come: not all have a closed form."""
 
 Score = Callable[[np.ndarray], float]
 """Log evidence plus log prior of the parameters, as logarithms (p,)."""
 
 
-def grid(effect: Effect, scale: Scale) -> tuple[list[Parameter], list[tuple[float, ...]]]:
+def grid(effect: Effect, scale: Scale, rules: Rules = DEFAULT) -> tuple[list[Parameter], list[tuple[float, ...]]]:
     """Parameters of a bound effect, and grid points over them, spread as their priors are."""
     parameters = list(effect.parameters(scale))
-    return parameters, list(product(*(p.grid or _quantiles(p) for p in parameters)))
+    return parameters, list(product(*(p.grid or _quantiles(p, rules) for p in parameters)))
 
 
-def _quantiles(parameter: Parameter) -> tuple[float, ...]:
+def _quantiles(parameter: Parameter, rules: Rules) -> tuple[float, ...]:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        draws = parameter.prior.sample((DRAWS,)).double()
-    return tuple(torch.quantile(draws, torch.tensor(QUANTILES).double()).tolist())
+        draws = parameter.prior.sample((rules.descent.num_prior_draws,)).double()
+    return tuple(torch.quantile(draws, torch.tensor(rules.descent.prior_quantiles).double()).tolist())
 
 
-def log_spread(parameter: Parameter) -> float:
+def log_spread(parameter: Parameter, rules: Rules = DEFAULT) -> float:
     """Standard deviation of a positive parameter's logarithm under its prior, from the quantiles that the grid has."""
-    low, *_, high = np.log(_quantiles(parameter))
-    return float((high - low) / (ndtri(QUANTILES[-1]) - ndtri(QUANTILES[0])))
+    low, *_, high = np.log(_quantiles(parameter, rules))
+    first, *_, last = ndtri(rules.descent.prior_quantiles)
+    return float((high - low) / (last - first))
 
 
 def log_density_of(parameters: Sequence[Parameter], values: np.ndarray) -> float:
@@ -59,13 +54,18 @@ def log_density_of(parameters: Sequence[Parameter], values: np.ndarray) -> float
     return total
 
 
-def climb(score: Score, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def climb(score: Score, start: np.ndarray, rules: Rules = DEFAULT) -> tuple[np.ndarray, np.ndarray, float]:
     """Mode (p,) of logarithms, their covariance (p, p), and the log-integral of exp(score) around it."""
     found = minimize(
         lambda x: -score(x),
         start,
         method="Nelder-Mead",
-        options={"maxfev": EVALUATIONS * len(start), "initial_simplex": _simplex(start), "fatol": 0.1, "xatol": 0.05},
+        options={
+            "maxfev": rules.descent.simplex_evaluations * len(start),
+            "initial_simplex": _simplex(start),
+            "fatol": 0.1,
+            "xatol": 0.05,
+        },
     )
     x, top = found.x, -found.fun
     p, step = len(x), 0.1

@@ -13,15 +13,9 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import SPIKE
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.posterior.initialise import SUBSTEPS
-
-LOST = 0.5
-"""Nats that errors of integration may cost."""
-MOST_TIMES = 2
-"""Times as many sub-steps as errors in an angle ask for: |w|² falls by a thousand with that, but on wild paths."""
 
 
 def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
@@ -33,7 +27,7 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
         return problem
     model, ends = problem.model, {}
     rows = torch.arange(1, len(path))
-    about = filter_of(problem, problem.model, path, np.array([SPIKE]))
+    about = filter_of(problem, problem.model, path, np.array([problem.rules.residual.spike_size]))
     nothing = np.zeros((*problem.observations.shape, 1))
 
     def reached(count: int) -> Tensor:
@@ -44,8 +38,8 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
         return ends[count]
 
     own = problem.model.substeps
-    for count in (n for n in SUBSTEPS if own <= n <= MOST_TIMES * own):
+    for count in (n for n in SUBSTEPS if own <= n <= problem.rules.search.max_step_factor * own):
         error = (reached(count) - reached(2 * count)).unsqueeze(-1).numpy()
-        if 0.5 * whiten(problem, about, Columns(error, nothing)).gram[0, 1, 1] <= LOST:
+        if 0.5 * whiten(problem, about, Columns(error, nothing)).gram[0, 1, 1] <= problem.rules.search.max_step_loss:
             break
     return problem.in_substeps(count)

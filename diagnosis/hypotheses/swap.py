@@ -17,34 +17,19 @@ from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import ERRS, RIVAL, UNEXPLAINED, needed
+from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import PASSIVE
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.neighbours import Neighbour, neighbours
 
-ALIKE = 1.0
-"""Nats behind a cause from which on its neighbour has not arrived; and that one must gain to be followed again."""
-
 RELATED = ("wider", "narrower")
 """Kinds of neighbours of which one is a special case of the other."""
-
-SOFTER = 3
-"""Causes of one effect whose softer forms are refined, and one of two or three: each may take minutes."""
-
-SOFTENED = 0.01
-"""Size of the residual, at least, with which a softer form is refined along the ideal one's path."""
-
-SHIFTS = (-1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5)
-STRETCHES = (0.4, 0.63, 1.0, 1.6)
-SHORT = 0.03
-"""Of a burst's duration, or of so many s at least: shifts of its middle, and other durations."""
 
 
 def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
@@ -54,11 +39,13 @@ def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: 
     the best one may be taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
-    while fresh := [c for c in _near(found, number, found.top - ERRS) if id(c) not in visited]:
+    while fresh := [
+        c for c in _near(found, number, found.top - problem.rules.search.large_screen_error) if id(c) not in visited
+    ]:
         for cause in fresh:
             visited[id(cause)] = cause
             _swap_each(problem, found, cause, ("twin", "wider", "narrower"))
-        for cause in _rough(problem, found, number)[: SOFTER // number]:
+        for cause in _rough(problem, found, number)[: problem.rules.search.max_variants // number]:
             refine_softer(problem, found, cause)
         best = found.best
         if len(best.effects) == number:
@@ -76,9 +63,9 @@ def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> lis
     Where nothing explains the gap yet, all that gain half of what the best one does: an ideal law may be as far off as
     another effect's.
     """
-    least, none = found.top - ERRS, found.pool[""].log_evidence
+    least, none = found.top - problem.rules.search.large_screen_error, found.pool[""].log_evidence
     if not found.explained:
-        least = none + needed(found.top - none, RIVAL)
+        least = none + needed(found.top - none, explained=True, rules=problem.rules)
     ideal = [c for c in _near(found, number, least) if any(effect.softened() is not None for effect in c.effects)]
     rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     return sorted(rough, key=lambda cause: -cause.log_evidence)
@@ -88,7 +75,7 @@ def _swap_each(
     problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]
 ) -> None:
     """Refine a cause with each of its effects at another time, and with neighbours of some ``kinds`` in its place."""
-    passive, taken = problem.regime == PASSIVE, {effect.key for effect in cause.effects}
+    passive, taken = problem.regime.name == "passive", {effect.key for effect in cause.effects}
     for mine in cause.effects:
         if "moment" in mine.located:
             _refine_moved(problem, found, cause, mine)
@@ -107,7 +94,9 @@ def _follow(
     if other.kind == "wider":
         done = cause.complete or (there is not None and there.complete)
     else:
-        done = there is not None and there.log_evidence > cause.log_evidence - (0.0 if related else ALIKE)
+        done = there is not None and there.log_evidence > cause.log_evidence - (
+            0.0 if related else problem.rules.search.equal_gain
+        )
     if other.kind == "alike":
         its, ours = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
@@ -164,14 +153,15 @@ def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **l
     form = mine.softened()
     if form is None:
         return None
-    size = max(best_size(problem, cause), SOFTENED)
+    size = max(best_size(problem, cause), problem.rules.search.min_variant_size)
     return instead(problem, cause, mine, form, form.as_soft(of_effect(mine, cause.values)), cause.path, size, **limits)
 
 
 def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
     """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
-    doubtful = base.log_evidence + needed(found.top - base.log_evidence, UNEXPLAINED)
-    return {"enough": found.top - ERRS, "doubtful": doubtful}
+    behind = found.top - base.log_evidence
+    doubtful = base.log_evidence + needed(behind, explained=False, rules=found.rules)
+    return {"enough": found.top - found.rules.search.large_screen_error, "doubtful": doubtful}
 
 
 def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
@@ -182,7 +172,7 @@ def _in_place(cause: FittedHypothesis, mine: Effect, other: Effect) -> str:
 def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Effect, form: str = "") -> bool:
     """Whether the neighbour, in a ``form`` of it, was refined from as good a cause before; from now on it was."""
     key = _in_place(cause, mine, other) + form
-    if found.followed.get(key, -np.inf) > cause.log_evidence - ALIKE:
+    if found.followed.get(key, -np.inf) > cause.log_evidence - found.rules.search.equal_gain:
         return True
     found.followed[key] = cause.log_evidence
     return False
@@ -196,8 +186,12 @@ def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
     """
     while not _followed(found, cause, mine, mine, " moved"):
         there = of_effect(mine, cause.values)
-        (first, last), width = problem.model.time[[0, -1]].tolist(), max(there["duration"], SHORT)
-        middles = [(there["moment"] + a * width, s * width / 2) for a, s in product(SHIFTS, STRETCHES)]
+        (first, last), width = (
+            problem.model.time[[0, -1]].tolist(),
+            max(there["duration"], problem.rules.search.min_burst),
+        )
+        moves = product(problem.rules.search.burst_shifts, problem.rules.search.burst_factors)
+        middles = [(there["moment"] + a * width, s * width / 2) for a, s in moves]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
         model, common, point = expanded_about(problem, cause.less(problem, mine))
         (likely,) = added(screen(problem, model, lifted(model, cause.path), [mine], common, point, times=times))

@@ -27,7 +27,6 @@ from itertools import combinations
 import numpy as np
 import torch
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.prediction.predict import seen_tips, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -36,17 +35,17 @@ from invdyn.inference.posterior.jitter import jitter
 from invdyn.models.effects.base import Effect
 from invdyn.models.observation.mixture import MistakenRows
 
-DRAWS = 8
-"""Recordings that are drawn for their noise."""
-
 
 def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:
     """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
-    if loudness(problem, cause) > RULE.loud:
+    if loudness(problem, cause) > problem.rules.residual.max_error_ratio:
         return True
     alike, chance = correlation(errors)
     company, by_chance = in_concert(problem, cause)
-    return alike > RULE.alike + RULE.chance * chance or company > RULE.company + RULE.chance * by_chance
+    return (
+        alike > problem.rules.residual.max_error_correlation + problem.rules.residual.error_margin * chance
+        or company > problem.rules.residual.max_shared_outliers + problem.rules.residual.error_margin * by_chance
+    )
 
 
 def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.ndarray:
@@ -55,7 +54,7 @@ def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.
     With unknown torque under an ample one, which leaves no errors alike by being smoother than its prior is: what is
     then alike in them, no torque can do.
     """
-    size = best_size(problem, cause) * (1.0 if problem.regime.knows_torque else RULE.ample)
+    size = best_size(problem, cause) * (1.0 if problem.regime.knows_torque else problem.rules.residual.limb_margin)
     rows = whitened(problem, cause, [size])
     errors = np.full(problem.observations.shape, np.nan)
     errors[rows.seen > 0] = rows.columns[0, :, 0].reshape(-1, errors.shape[-1])
@@ -72,7 +71,7 @@ def loudness(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     points = observation.part(observation.keypoints)
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
     rows = getattr(rows, "base_dist", rows)
-    draws = np.random.default_rng(0).normal(size=(DRAWS, *rows.loc.shape))
+    draws = np.random.default_rng(0).normal(size=(problem.rules.outcome.num_noise_draws, *rows.loc.shape))
     drawn = rows.loc + cause.kappa * rows.scale * torch.from_numpy(draws) + 0 * problem.observations
 
     def shown(observations: torch.Tensor) -> np.ndarray:

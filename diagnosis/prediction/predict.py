@@ -6,7 +6,7 @@
   G_t = I + Σ_{s≤t} LᵀA_sᵀA_s L/κ² and r_t = Σ_{s≤t} LᵀA_sᵀw_s/κ², it is more by
   ½ (r_tᵀ G_t⁻¹ r_t − log |G_t|) less the same of t−1 (Bishop 2006, §3.3 and §3.5).
 * Residual torque: its smoothed posterior.
-* Replay: the simulation alone, set to the smoothed state every ``WINDOW`` seconds and left to run.
+* Replay: the simulation alone, set to the smoothed state every `replay_window` seconds and left to run.
 
 Shapes: T rows, K joints.
 """
@@ -20,18 +20,13 @@ from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import FIRM, SPIKE
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.memory import forgotten
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, slopes
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.models import ArmModel
-
-WINDOW = 1.0
-"""s between the states that a replay is set to."""
-NUDGE = 0.05
-"""Standard deviations by which parameters differ for slopes."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +65,7 @@ def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarra
     ``unseen`` (T,) are rows that the cause's parameters have not seen: there they are what is known of them and of the
     rows before.
     """
-    quietest = SPIKE if problem.regime.knows_torque else best_size(problem, cause)
+    quietest = problem.rules.residual.spike_size if problem.regime.knows_torque else best_size(problem, cause)
     columns = None if unseen is None else posterior_columns(problem, cause)
     rows = forgotten(whitened(problem, cause, [best_size(problem, cause), quietest], columns), cause.memory)
     seen, kappa = rows.seen, cause.kappa
@@ -89,7 +84,7 @@ def scores(problem: DiagnosisProblem, cause: FittedHypothesis, unseen: np.ndarra
 def posterior_columns(problem: DiagnosisProblem, cause: FittedHypothesis) -> Columns:
     """Slopes in p numbers z ~ N(0, I) along a cause's path: its parameters are μ + L z a posteriori."""
     among = unknowns(problem, cause.model.effects.effects)
-    step = np.maximum(NUDGE * cause.sd, 1e-7 * among.sd)
+    step = np.maximum(problem.rules.screening.slope_step * cause.sd, 1e-7 * among.sd)
     plain = slopes(cause.model, among, cause.mean, step, cause.path)
     values, vectors = np.linalg.eigh(cause.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -107,7 +102,7 @@ def _learning(w: np.ndarray) -> np.ndarray:
 
 def smoothed(problem: DiagnosisProblem, cause: FittedHypothesis) -> GaussianSmoother:
     """Posterior of the states under a cause, with its own residual size."""
-    quiet = problem.with_residual(max(best_size(problem, cause), FIRM), cause.model)
+    quiet = problem.with_residual(max(best_size(problem, cause), problem.min_size), cause.model)
     return gauss_newton(quiet, problem.observations, start=cause.path, max_iterations=3)
 
 
@@ -129,14 +124,14 @@ def residual(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[np.nda
 
 @torch.no_grad()
 def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarray:
-    """Sites (T, S, d) m of open-loop replays, each of ``WINDOW`` seconds, from the states of ``path`` (T, D).
+    """Sites (T, S, d) m of open-loop replays, each of `replay_window` seconds, from the states of ``path`` (T, D).
 
     Rows ``anew`` are set to their states too.
     """
     path = path.clone()
     path[:, : model.body.num_joints] = 0.0  # no residual
     time = model.time.numpy()
-    starts = np.searchsorted(time, np.arange(time[0], time[-1], WINDOW))
+    starts = np.searchsorted(time, np.arange(time[0], time[-1], FIXED.replay_window))
     starts = np.unique([*starts, *anew])
     lengths = np.diff(np.append(starts, len(time)))
     states, state = path.clone(), path[starts]

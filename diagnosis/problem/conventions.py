@@ -13,21 +13,13 @@ import warnings
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.problem.mistakes import CLEAN, fixed, left_by, zero
+from invdyn.diagnosis.problem.mistakes import fixed, left_by, zero
 from invdyn.diagnosis.problem.torque_regression import explain, smoothings
+from invdyn.diagnosis.rules import Rules
 from invdyn.models import ArmModel, Body
 from invdyn.recordings import InputError
 
-APART, ROLLED, ALIKE = math.radians(10), math.radians(20), 0.95
-"""rad that encoders and keypoints may differ by all along; at the first joint, as a camera may be rolled; and the mean
-resultant length of a constant difference."""
-MISSED, NEAR = 0.2, 0.3
-"""Of the torques' rms what is missed where something is wrong, and of that what is missed once it is put right."""
 SIGNS = ("torque sign", "direction", "angle sign")
-FEWEST = 11
-"""Rows with a link's direction that say something of its zero."""
-LEVER = 0.02
-"""Of the arm, that a link must be seen to be long for its direction to count."""
 
 
 def refuse(message: str, force: bool) -> None:
@@ -37,7 +29,9 @@ def refuse(message: str, force: bool) -> None:
     warnings.warn(f"{message}; goes on, by --force", stacklevel=3)
 
 
-def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: Tensor, force: bool = False) -> None:
+def check_conventions(
+    name: str, model: ArmModel, observations: Tensor, angle: Tensor, rules: Rules, force: bool = False
+) -> None:
     """Refuse the sign or zero of a joint that no robot and camera have at once; see :func:`refuse`.
 
     ``observations`` (T, O) are the model's, ``angle`` (T, K) a path through them where no encoders are.
@@ -46,17 +40,20 @@ def check_conventions(name: str, model: ArmModel, observations: Tensor, angle: T
     if observation.encoders is not None:
         angle = observation.of(observation.encoders, observations)
         if isinstance(model.body, Body):  # links of a plane have a direction there
-            _check_keypoints(name, model, model.body, observation.points(observations).numpy(), angle.numpy(), force)
+            _check_keypoints(
+                name, model, model.body, observation.points(observations).numpy(), angle.numpy(), rules, force
+            )
     if model.command is not None and bool(model.command.any()) and bool(model.body_parameters().gravity.any()):
-        _check_torques(name, model, model.command.numpy(), angle.numpy(), force)
+        _check_torques(name, model, model.command.numpy(), angle.numpy(), rules, force)
 
 
 def _check_keypoints(
-    name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray, force: bool
+    name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray, rules: Rules, force: bool
 ) -> None:
     """Encoders (T, K) against the directions of links that the camera sees, keypoints (T, P, 2)."""
     seen = dict(zip(model.observation.tracked, points.swapaxes(0, 1), strict=True))
     seen[-1] = np.broadcast_to(np.array(body.base), (len(points), 2))
+    max_offset, max_first = rules.check.max_encoder_offset, rules.check.max_first_offset
     reach = float(model.body_parameters().length.sum())
     for k, joint in enumerate(body.joint_names):
         if not {k - 1, k} <= seen.keys() or (k and k - 2 not in seen):
@@ -66,17 +63,17 @@ def _check_keypoints(
         if k:
             before = seen[k - 1] - seen[k - 2]
             turned = turned - np.arctan2(before[:, 1], before[:, 0])
-        use = np.isfinite(turned + angle[:, k]) & (np.hypot(*along.T) > LEVER * reach)
-        if use.sum() < FEWEST:
+        use = np.isfinite(turned + angle[:, k]) & (np.hypot(*along.T) > rules.check.min_link_length * reach)
+        if use.sum() < rules.check.min_direction_rows:
             continue
         same, other = (np.exp(1j * (angle[use, k] - way * turned[use])).mean() for way in (1, -1))
-        if abs(other) > ALIKE > abs(same):
+        if abs(other) > rules.check.min_resultant > abs(same):
             refuse(
                 f"{name}: the encoder of joint {joint!r} turns the other way than its keypoints: does the robot count "
                 "it clockwise? Change the sign of its angles and torques",
                 force,
             )
-        if abs(same) > ALIKE and abs(np.angle(same)) > (APART if k else ROLLED):
+        if abs(same) > rules.check.min_resultant and abs(np.angle(same)) > (max_offset if k else max_first):
             refuse(
                 f"{name}: the encoder of joint {joint!r} and its keypoints differ by "
                 f"{math.degrees(np.angle(same)):.0f}° all along. Ours is zero where the link lies "
@@ -85,15 +82,17 @@ def _check_keypoints(
             )
 
 
-def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray, force: bool) -> None:
+def _check_torques(
+    name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray, rules: Rules, force: bool
+) -> None:
     """Torques against what the motion (T, K) asks for under each of the mistakes that no effect looks like."""
     body, dynamics = model.body, model.dynamics
-    motions = smoothings(body, model.time.numpy(), angle, command)
+    motions = smoothings(body, model.time.numpy(), angle, command, rules=rules)
     if not motions:
         return
     motion = min(motions, key=lambda each: explain(dynamics, body, each).misfit)
     own = explain(dynamics, body, motion).misfit
-    if own < MISSED:
+    if own < rules.check.sure_misfit:
         return
     encoders, joints = model.observation.encoders is not None, body.num_joints
     by_target = () if motion.terms is None else motion.terms.by_target
@@ -101,9 +100,9 @@ def _check_torques(name: str, model: ArmModel, command: np.ndarray, angle: np.nd
     known += [zero(k, turn * math.pi / 2) for k in range(joints) for turn in (1, 2, -1) if encoders]
     best, mistake = min(((left_by(e, dynamics, body, motion), e) for e in known), key=lambda each: each[0])
     righted = mistake.right(motion)
-    if best > NEAR * own or best > MISSED or righted is None:
+    if best > rules.check.sure_remaining * own or best > rules.check.sure_misfit or righted is None:
         return
-    if explain(dynamics, body, righted).missed(mistake.joints) > CLEAN:
+    if explain(dynamics, body, righted).missed(mistake.joints) > rules.check.max_joint_misfit:
         return
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
     refuse(

@@ -22,6 +22,7 @@ from invdyn.diagnosis.problem.outliers import calm
 from invdyn.diagnosis.problem.regime import Regime, regime_of
 from invdyn.diagnosis.problem.thinned import looked_at
 from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
 from invdyn.inference.posterior.jitter import jitter
@@ -31,21 +32,6 @@ from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
-
-BEGINNING = 0.3
-"""Typical torques that motors which act late may still give, where a recording begins, of commands before it."""
-
-LEAST = 0.1
-"""Smallest part of the largest joint's residual, in typical torques, that another joint is given."""
-
-RMS = 0.5
-"""Of a motion, in its largest velocities: what smoothing makes of a stray detection must not count."""
-
-TOO_MUCH = 100.0
-"""Times the torque that load and motion ask for, over all joints, beyond which commands are in another unit: 40 made
-recordings have 0.34 in the middle, 1.5 at most, and a small servo that is stalled against a stop 50."""
-FEWEST = 20
-"""Rows with an observation, under which nothing is said."""
 
 
 class NotEnoughData(InputError):
@@ -62,6 +48,7 @@ class DiagnosisProblem:
         uncertain: :func:`.uncertain_numbers`; where the torque is unknown, those of the geometry alone.
         starts: rows at which another recording starts.
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
+        rules: the numbers that the diagnosis follows.
         budget: what is left of it; all problems of one diagnosis share it.
         checkpoint: where the units of the diagnosis are kept (:mod:`..kept_units`), or None.
     """
@@ -71,6 +58,7 @@ class DiagnosisProblem:
     uncertain: tuple[Uncertain, ...] = ()
     starts: tuple[int, ...] = ()
     shape: tuple[float, ...] | None = None
+    rules: Rules = DEFAULT
     budget: Budget = field(default_factory=Budget, compare=False)
     checkpoint: Checkpoint | None = field(default=None, compare=False)
 
@@ -83,6 +71,11 @@ class DiagnosisProblem:
     def observations(self) -> Tensor:
         """(T, O), NaN where missing."""
         return self.problem.observations
+
+    @property
+    def min_size(self) -> float:
+        """Smallest size of the residual under which a path is found."""
+        return self.rules.residual.min_path_size
 
     @cached_property
     def content(self) -> str:
@@ -111,7 +104,7 @@ class DiagnosisProblem:
         """
         joints = self.model.body.num_joints
         missing = path[:, :joints].square().mean(0).sqrt() / self.typical
-        shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(LEAST)
+        shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(self.rules.residual.min_joint_size)
         _, angle, _ = self.model.split(path)
         model = self.model.turning(angle.amin(0), angle.amax(0))
         return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
@@ -149,11 +142,16 @@ class DiagnosisProblem:
     def begun(self) -> dict[str, Tensor]:
         """Sd (K,) N·m of what is not known of commanded torques where a recording begins, as a parameter."""
         typical = torch.tensor(self.model.scale.torque, dtype=torch.float64)
-        return {"torque.initial_scale": BEGINNING * typical} if self.regime.commanded else {}
+        return {"torque.initial_scale": self.rules.residual.initial_torque * typical} if self.regime.commanded else {}
 
 
 def diagnosis_problem(
-    recording: Recording | Sequence[Recording], body: ArticulatedBody, *, passive: bool = False, force: bool = False
+    recording: Recording | Sequence[Recording],
+    body: ArticulatedBody,
+    *,
+    passive: bool = False,
+    force: bool = False,
+    rules: Rules = DEFAULT,
 ) -> DiagnosisProblem:
     """Bind one or several recordings to ``body``; each of several counts from its own first row.
 
@@ -164,8 +162,8 @@ def diagnosis_problem(
     given = [recording] if isinstance(recording, Recording) else recording
     if len(given) > 1:  # their clocks have no time in common
         given = [replace(each, time=each.time - each.time[0]) for each in given]
-    recording, begins = joined([part for each in given for part in looked_at(each)])
-    regime = regime_of(recording.torques, passive)
+    recording, begins = joined([part for each in given for part in looked_at(each, rules)])
+    regime = regime_of(recording.torques, passive, rules)
     uncertain = uncertain_numbers(body)
     if not regime.knows_torque and (untracked := _untracked(recording, body)):
         # A hand alone fits a pose and its mirror image, and an unknown torque may lead from one to the other.
@@ -179,10 +177,10 @@ def diagnosis_problem(
     whole = arm_problem(recording, body, passive=passive, substeps=1)
     rows = (~torch.isnan(whole.observations)).any(-1).numpy()
     seen = int(rows.sum())
-    if seen < FEWEST:
+    if seen < rules.recording.min_rows:
         raise NotEnoughData(
-            f"{recording.name}: {seen} rows with an observation, a diagnosis needs {FEWEST} or more: record longer, or "
-            "with more frames in which keypoints are seen"
+            f"{recording.name}: {seen} rows with an observation, a diagnosis needs {rules.recording.min_rows} or "
+            "more: record longer, or with more frames in which keypoints are seen"
         )
     # Rows without an observation only carry commands, which a row takes as they come.
     torque = OrnsteinUhlenbeck(decay=regime.decay, underway=regime.commanded)
@@ -197,13 +195,14 @@ def diagnosis_problem(
     paths = model.initial_paths(usual)
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime.commanded:
-        _check_torques(recording.name, model, angle, velocity, force)
-    check_conventions(recording.name, model, problem.observations, angle, force)
+        _check_torques(recording.name, model, angle, velocity, rules, force)
+    check_conventions(recording.name, model, problem.observations, angle, rules, force)
     if starts:
         model = model.starting_anew(starts, angle[starts])
-    model = model.moving(velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt() * RMS)
+    fast = velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt()
+    model = model.moving(fast * rules.recording.motion_share)
     model = model.in_substeps(sufficient_substeps(model, usual))
-    return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts))
+    return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts), rules=rules)
 
 
 def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:
@@ -215,7 +214,7 @@ def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:
     return [name for name in body.keypoint_names if name not in tracked]
 
 
-def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor, force: bool) -> None:
+def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor, rules: Rules, force: bool) -> None:
     """Refuse torques far beyond what holds the arm level and moves it with velocities (T, K), rad/s.
 
     Where no gravity tells what an arm takes, friction and rotors may take nearly all of it.
@@ -227,7 +226,7 @@ def _check_torques(name: str, model: ArmModel, angle: Tensor, velocity: Tensor, 
     needed = (typical_torque(dynamics, body) + dynamics.typical_inertia(body) * rms).norm().item()
     torque = answered(model.body, model.command, angle, velocity)
     given = torque.square().mean(0).sqrt().norm().item()
-    if given > TOO_MUCH * needed:
+    if given > rules.recording.max_torque_ratio * needed:
         refuse(
             f"{name}: expected torques in N·m, some {needed:.2g} for body {model.body.name!r} and this motion, got "
             f"{given:.2g} rms: check their unit, and the body's masses (kg) and lengths (m)",

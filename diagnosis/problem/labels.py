@@ -14,12 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel, Body
-
-FAR = 7.0
-"""Times the median over rows."""
-EXACT = 1e-9
-"""Of the arm's length: nearer to a link's length is rounding."""
 
 
 def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
@@ -44,7 +40,7 @@ def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
         return found
 
     own = misfit(points)
-    least = FAR * max(float(np.median(own)), EXACT * float(length.sum()))
+    least = FIXED.label_misfit_ratio * max(float(np.median(own)), FIXED.rounding * float(length.sum()))
     best, put_right = own, points
     for i, j in combinations(range(len(tips)), 2):
         other = points.copy()

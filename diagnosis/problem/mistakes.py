@@ -29,37 +29,12 @@ from scipy.optimize import minimize_scalar
 
 from invdyn.diagnosis.problem.robot_terms import RobotTerms, servos
 from invdyn.diagnosis.problem.torque_regression import Motion, explain, left_by_values, share
+from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.recordings.logs.mapping import SHIFTS
 from invdyn.recordings.units import TIMES, Units
 
 TIME_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-ZEROS = np.radians(np.arange(-165, 181, 15))
-"""rad, where a zero is looked for, before it is found to a fraction of a degree."""
-FACTORS = np.array([1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0])
-"""Gears and units that are looked for, before they are found to a per cent."""
-PLAIN = 2.0
-"""A factor on torques within this of 1 is a gain: for the diagnosis."""
-SMALL_ZERO = math.radians(7)
-"""A zero that is less off is a tilt, an encoder's offset, or a centre of mass that is aside: for the diagnosis."""
-SMALL_OFFSET = 0.2
-"""Of a joint's rms torque: a constant torque that is smaller is for the diagnosis."""
-MANY = 3
-"""Mistakes in one log, at most."""
-MISSED, BETTER, NEAR = 0.05, 0.55, 0.4
-"""A misfit that something must be wrong for; what is left of it once that is put right; and the largest misfit that a
-log which is right has, whatever its arm has besides."""
-CLEAN = 0.15
-"""Of the torques that a motion asks of joints, what may be left of theirs once a mistake of theirs is put right.
-
-Measured on 98 made logs (benchmarks/check.py): three right remedies, of arms with strong effects, leave .24 to .27, and
-two wrong ones .22 and .24; all other right ones leave less than .1."""
-STILL = 1e-6
-"""rad, or m, between which a joint that does not move stays."""
-SAME_GEAR = 0.05
-"""Of a gear, by which another one is taken for the same."""
-ALIKE = 1.15
-"""Misfits nearer than that, or such as a right log may have, do not tell which mistake it is."""
 FITTED = ("zero", "scale", "offset")
 """Kinds with a number that is fitted: of those alike, one without a number comes first (Occam's razor). An arm of one
 joint whose direction is the other way could have a zero elsewhere, but only a single one."""
@@ -111,24 +86,26 @@ def find(
     Of angles and columns there are mistakes only where there are ``encoders``; ``said`` are the log's units, and where
     they stand.
     """
-    found: list[Found] = []
+    rules, found = motion.rules.check, list[Found]()
     states, lefts = [motion], [explain(dynamics, body, motion)]
-    while len(found) < MANY:
+    while len(found) < rules.max_mistakes:
         own = lefts[-1].misfit
-        if not own > MISSED:
+        if not own > rules.min_misfit:
             break
         tried = sorted(_tried(dynamics, body, states[-1], encoders, said), key=lambda each: each[0])
-        worth = [(misfit, mistake) for misfit, mistake in tried if misfit < BETTER * own and misfit < NEAR]
+        limit = min(rules.max_remaining * own, rules.max_right_misfit)
+        worth = [(misfit, mistake) for misfit, mistake in tried if misfit < limit]
         if not worth:
             break
-        alike = [(misfit, mistake) for misfit, mistake in worth if misfit < max(ALIKE * worth[0][0], MISSED)]
+        limit = max(rules.equal_misfit * worth[0][0], rules.min_misfit)
+        alike = [(misfit, mistake) for misfit, mistake in worth if misfit < limit]
         _, best = min(alike, key=lambda each: each[1].kind in FITTED)
         others = tuple(mistake for _, mistake in alike if mistake.kind != best.kind)
         found.append(Found(best, math.nan, math.nan, others))
         states.append(best.right(states[-1]) or states[-1])
         lefts.append(explain(dynamics, body, states[-1]))
     tried_out = len(found)
-    while found and any(lefts[len(found)].missed(each.mistake.joints) > CLEAN for each in found):
+    while found and any(lefts[len(found)].missed(each.mistake.joints) > rules.max_joint_misfit for each in found):
         found.pop()
     right = lefts[len(found)]
     left = [left_by_values(dynamics, body, each, right.values) for each in states[: len(found) + 1]]
@@ -205,14 +182,15 @@ def units(
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
 
-def gears(terms: RobotTerms, place: str) -> Iterator[Mistake]:
+def gears(terms: RobotTerms, place: str, rules: Rules) -> Iterator[Mistake]:
     """Targets of servos that are counted where the actuator is, as MuJoCo's ctrl, or at the joint, and not as said.
 
     ``place`` is the mapping that says it.
     """
     said, filed, joints = terms.target.gear, terms.gears, len(terms.gears)
     for at, gear in (("the actuator, gear times the joint's (MuJoCo's ctrl)", filed), ("the joint", np.ones(joints))):
-        wrong = [k for k in range(joints) if terms.by_target[k] and abs(gear[k] - said[k]) > SAME_GEAR * abs(gear[k])]
+        off = np.abs(gear - said) > rules.check.gear_tolerance * np.abs(gear)
+        wrong = [k for k in range(joints) if terms.by_target[k] and off[k]]
         for group in dict.fromkeys([tuple(wrong), *((k,) for k in wrong)]):
             if not group:
                 continue
@@ -234,8 +212,8 @@ def _tried(
     dynamics: Dynamics, body: Any, motion: Motion, encoders: bool, said: Units | None
 ) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
-    joints, terms = motion.q.shape[1], motion.terms
-    moving = np.ptp(motion.q, axis=0) > STILL
+    joints, terms, rules = motion.q.shape[1], motion.terms, motion.rules.check
+    moving = np.ptp(motion.q, axis=0) > FIXED.negligible
     by_target = (False,) * joints if terms is None else terms.by_target
 
     def fit(mistake: Mistake) -> float:
@@ -246,7 +224,7 @@ def _tried(
         stated = None if terms is None or said is None or said.mapping is None else terms.stated
         yield from units(said, any(by_target), stated) if encoders else ()
         if terms is not None and said is not None and said.mapping is not None:
-            yield from gears(terms, said.mapping)
+            yield from gears(terms, said.mapping, motion.rules)
 
     if not moving.any():
         return
@@ -256,15 +234,16 @@ def _tried(
     for k in np.flatnonzero(moving).tolist() if encoders else ():
         sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
-        yield from _searched(partial(zero, int(k), sign=sign, where=where), fit, ZEROS, math.radians(15), SMALL_ZERO)
+        made = partial(zero, int(k), sign=sign, where=where)
+        yield from _searched(made, fit, np.array(rules.zero_grid), math.radians(15), rules.min_zero)
     for group in _groups(joints):
         if moving[list(group)].all() and len({by_target[k] for k in group}) == 1:
-            made = partial(_scale, group, joints, by_target[group[0]])
-            yield from _searched(made, fit, np.log(FACTORS), 0.6, math.log(PLAIN), ends=True)
+            scaled = partial(_scale, group, joints, by_target[group[0]])
+            yield from _searched(scaled, fit, np.log(rules.factor_grid), 0.6, math.log(rules.max_gain), ends=True)
     for k in np.flatnonzero(moving).tolist():
         free = explain(dynamics, body, motion, (k,))
         offset = float(free.values[-1])
-        if abs(offset) > SMALL_OFFSET * np.sqrt((motion.torque[:, k] ** 2).mean()):
+        if abs(offset) > rules.min_offset * np.sqrt((motion.torque[:, k] ** 2).mean()):
             yield free.misfit, _offset(k, motion, offset)
 
 

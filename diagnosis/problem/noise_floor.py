@@ -1,7 +1,7 @@
 """The noise of detections that do not move, which jitter, blur and mistimed frames let grow with speed.
 
 Differences of a track show its noise (:func:`.jitter.differences`). Sorted by the speed v of the point, their
-medians in ``BINS`` bins are compared with a noise that is the same everywhere and with two that grow:
+medians in `num_speed_bins` bins are compared with a noise that is the same everywhere and with two that grow:
 
     σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
 
@@ -25,22 +25,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.inference.posterior.jitter import MEDIAN, differences, jitter
 
 Growth = Callable[[np.ndarray, float], np.ndarray]
 """Speeds (N,) and k → noise, in units of that at rest."""
-
-BINS, FEWEST = 8, 10
-"""Bins of speed, and values in each, under which nothing is compared."""
-SPAN, DEGREE = 0.2, 3
-"""s, and the degree, of the polynomial whose slope is a row's velocity (Savitzky & Golay 1964): high differences know
-nothing of it, so that the noise of one is not in the other. Nine rows at least."""
-SURELY = 16.0
-"""Fall of the squared misfit, in variances, from which on noise is said to grow."""
-OVERLAP = 2.0
-"""By which neighbouring differences, which share rows, make a median's variance larger."""
-VAGUE = 1 / 3
-"""Standard deviation of the logarithm of a noise at rest that was found by how it grows."""
 
 
 def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -49,14 +38,14 @@ def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
     tracks = points.swapaxes(0, 1)
     rest = np.array([_at_rest(time, track, usual) for usual, track in zip(average, tracks, strict=True)])
     grows = rest < average
-    variance = np.where(grows, VAGUE**2, variance_of_log(np.isfinite(tracks).sum((1, 2))))
+    variance = np.where(grows, FIXED.growth_log_sd**2, variance_of_log(np.isfinite(tracks).sum((1, 2))))
     alike = shrunk(rest, variance)
     return np.where(grows, np.minimum(average, alike), alike)
 
 
 def variance_of_log(count: np.ndarray) -> np.ndarray:
     """Variance of the logarithm of a noise's sd that the differences of so many values told."""
-    return OVERLAP * MEDIAN / np.maximum(count, 1)
+    return FIXED.difference_overlap * MEDIAN / np.maximum(count, 1)
 
 
 def shrunk(sd: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -78,11 +67,11 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     """Of one point's ``track`` (T, d), whose noise is ``usual`` on average; no more than that."""
     seen = np.isfinite(track).all(-1)
     time, track = time[seen], track[seen]
-    if len(track) < BINS * FEWEST or usual == 0.0:
+    if len(track) < FIXED.num_speed_bins * FIXED.min_bin_rows or usual == 0.0:
         return usual
     step = float(np.median(np.diff(time)))
-    window = min(max(9, 2 * round(SPAN / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
-    velocity = savgol_filter(track, window, DEGREE, deriv=1, delta=step, axis=0)
+    window = min(max(9, 2 * round(FIXED.velocity_span / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
+    velocity = savgol_filter(track, window, FIXED.velocity_degree, deriv=1, delta=step, axis=0)
     speed = np.linalg.norm(velocity, axis=-1)
     sizes, along, whole = [], [], []
     for c in range(track.shape[-1]):
@@ -97,12 +86,12 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
         _fitted(np.concatenate(along), size, lambda v, k: np.hypot(1.0, k * v)),
     ]
     gain, found = max(candidates)
-    return min(usual, found) if gain > SURELY else usual
+    return min(usual, found) if gain > FIXED.min_growth_gain else usual
 
 
 def _fitted(speed: np.ndarray, size: np.ndarray, growth: Growth) -> tuple[float, float]:
     """How much better a noise fits that grows with ``speed`` as ``growth`` (v, k), in variances; and its σ at rest."""
-    bins = np.array_split(np.argsort(speed, kind="stable"), BINS)
+    bins = np.array_split(np.argsort(speed, kind="stable"), FIXED.num_speed_bins)
     v = np.array([speed[each].mean() for each in bins])
     medians = np.array([np.median(size[each]) for each in bins])
     if not (medians > 0).all() or not v.any():

@@ -18,22 +18,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-NEIGHBOURS = (-3, -2, -1, 1, 2, 3)
-CLEAN = 4
-"""Parabolas that go without two of the neighbours."""
-JUMP, MOST_QUARTILES = 7.0, 0.75
-"""Times the upper quartile of the distances."""
-OFF = 5.0
-"""The same beside one parabola."""
-FEWEST = 10
-"""Parabolas, under which nothing is said of a row."""
+from invdyn.diagnosis.rules import FIXED
+
 BEYOND = ((1, 3, 4), (1, 2, 4), (1, 2, 3), (2, 3, 4))
 """Neighbours beyond which a parabola goes on, those first beyond which noise moves it least."""
 BACK = tuple(tuple(-k for k in near) for near in BEYOND)
 EDGES = {2: BEYOND, -3: BACK, 1: BEYOND, -2: BACK, 0: BEYOND, -1: BACK}
 """Neighbours of the first rows and the last: the first ones of which none jumped or was lost count."""
-EXACT = 1e-9
-"""Of an observation's size: nearer to a parabola is rounding."""
 
 
 def calm(time: Tensor, observations: Tensor, starts: Sequence[int] = ()) -> Tensor:
@@ -43,7 +34,8 @@ def calm(time: Tensor, observations: Tensor, starts: Sequence[int] = ()) -> Tens
 
 
 def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
-    jumps = _jumps(_beside_parabolas(when, values, NEIGHBOURS, CLEAN, FEWEST), values, JUMP)
+    away = _beside_parabolas(when, values, FIXED.neighbour_rows, FIXED.outlier_rank, FIXED.min_parabolas)
+    jumps = _jumps(away, values, FIXED.outlier_ratio)
     ends = list(EDGES) if len(values) > len(EDGES) else []
     jumps[ends] = False
     left = np.where(jumps, np.nan, values)
@@ -52,7 +44,7 @@ def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
         for near in EDGES[row]:
             away = _beside_parabolas(when, left, near, 1, 1)
             told = asked & np.isfinite(away[row])
-            left[row, told & _jumps(away, left, OFF)[row]] = np.nan
+            left[row, told & _jumps(away, left, FIXED.edge_outlier_ratio)[row]] = np.nan
             asked &= ~told
     return left
 
@@ -61,12 +53,12 @@ def _jumps(away: np.ndarray, values: np.ndarray, times: float) -> np.ndarray:
     """Which of ``values`` (T, O) are so many times farther from their neighbours' parabolas than most."""
     usual = np.array([_usual(column[np.isfinite(column)]) for column in away.T])
     # Of what is on its neighbours' course exactly, as at rest in rounded numbers, nobody knows what is usual.
-    known = usual > EXACT * np.nan_to_num(np.abs(values)).max(0)
+    known = usual > FIXED.rounding * np.nan_to_num(np.abs(values)).max(0)
     return known & (away > times * usual)
 
 
 def _usual(away: np.ndarray) -> float:
-    return float(np.quantile(away, MOST_QUARTILES)) if len(away) else 0.0
+    return float(np.quantile(away, FIXED.outlier_quantile)) if len(away) else 0.0
 
 
 def _beside_parabolas(

@@ -32,16 +32,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invdyn.diagnosis.decision import RULE
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.effects.base import Effect
 
-MOST_EFFECTS = len(RULE.number) - 1
-"""Effects at once, unless more are asked for: sets of many take long, and imitate what the catalogue lacks."""
 
-
-def tempered(gain: float, alpha: float | None = None) -> float:
-    """ζ, for G = ``gain`` and α = ``alpha``, that between causes if none is given."""
-    return 1 / (1 + max(gain, 0.0) / (RULE.alpha if alpha is None else alpha))
+def tempered(gain: float, alpha: float) -> float:
+    """ζ, for G = ``gain`` and α = ``alpha``."""
+    return 1 / (1 + max(gain, 0.0) / alpha)
 
 
 def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: float) -> float:
@@ -50,20 +47,23 @@ def coarsened(log_evidence: float, learned: np.ndarray, far: float, temper: floa
     return temper * log_evidence - 0.5 * float(narrowed.sum()) - (1 - temper) * far
 
 
-def of_number(count: int) -> float:
+def of_number(count: int, rules: Rules = DEFAULT) -> float:
     """P(n), n = ``count``."""
-    return RULE.number[min(count, MOST_EFFECTS)] / 4.0 ** max(count - MOST_EFFECTS, 0)
+    given = rules.evidence.effect_count_prior
+    last = len(given) - 1
+    return given[min(count, last)] / 4.0 ** max(count - last, 0)
 
 
-def another(count: int, most: int = MOST_EFFECTS) -> float:
-    """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or no room for another under ``most``."""
-    return of_number(count + 1) / of_number(count) if 0 < count < most else 1.0
+def another(count: int, rules: Rules = DEFAULT) -> float:
+    """P(n + 1)/P(n), for n = ``count`` ≥ 1 effects; 1 where there is none, or as many as there may be."""
+    more = 0 < count < rules.search.max_effects
+    return of_number(count + 1, rules) / of_number(count, rules) if more else 1.0
 
 
-def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect]) -> float:
+def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect], rules: Rules = DEFAULT) -> float:
     """Log prior probability of a cause among ``candidates``, all effects at all places that are considered."""
     names = {candidate.name for candidate in candidates}
-    total = math.log(of_number(len(effects))) + math.lgamma(len(effects) + 1)
+    total = math.log(of_number(len(effects), rules)) + math.lgamma(len(effects) + 1)
     for effect in effects:
         places = sum(candidate.name == effect.name for candidate in candidates)
         total -= math.log(max(len(names), 1)) + math.log(max(places, 1))

@@ -14,14 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.effects.base import Effect
-
-SPIKE = 1e-4
-SLAB = tuple(np.geomspace(2e-3, 1.0, 6))
-LIMB = tuple(np.geomspace(0.03, 30.0, 15))
-"""Sizes of a limb's own torque, which in fast motions is far above what holds the limb up."""
-FIRM = 1e-3
-"""Smallest size under which a path is sought: stiffer chains would only take more steps."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +52,48 @@ class Regime:
     @property
     def log_prior(self) -> np.ndarray:
         """(G,) log prior of each size."""
-        return log_prior(self.sizes)
+        return self.log_prior_of_first(len(self.levels))
+
+    def log_prior_of_first(self, count: int) -> np.ndarray:
+        """The same if only the first ``count`` sizes were possible: half for the spike, where there is one."""
+        spike = [0.5] * self.knows_torque
+        others = count - len(spike)
+        return np.log([*spike, *np.full(others, (1 - sum(spike)) / others)])
 
     def hides(self, effect: Effect) -> bool:
         """Whether the residual may do what an effect does without being a gap."""
         return not self.knows_torque and imitable(effect)
 
 
-COMMANDED = Regime("commanded", "commanded torques known", True, True, 20.0, 0.3, 0.3, (SPIKE, *SLAB))
-PASSIVE = replace(COMMANDED, name="passive", phrase="no torque at the joints", commanded=False)
-UNKNOWN_TORQUE = Regime("unknown_torque", "torques unknown", False, False, 4.0, 3.0, 1.0, LIMB)
-REGIMES = {regime.name: regime for regime in (COMMANDED, PASSIVE, UNKNOWN_TORQUE)}
-"""By name."""
+def regimes(rules: Rules = DEFAULT) -> dict[str, Regime]:
+    """The three, by name."""
+    own, seen = rules.residual, (rules.residual.spike_size, *rules.residual.slab_sizes)
+    known = Regime(
+        "commanded",
+        "commanded torques known",
+        True,
+        True,
+        own.residual_decay,
+        own.data_path_size,
+        own.dynamics_noise,
+        seen,
+    )
+    passive = replace(known, name="passive", phrase="no torque at the joints", commanded=False)
+    limb = (own.limb_decay, own.limb_path_size, 1.0, own.limb_sizes)
+    return {
+        each.name: each for each in (known, passive, Regime("unknown_torque", "torques unknown", False, False, *limb))
+    }
 
 
-def regime_of(torques: np.ndarray | None, passive: bool) -> Regime:
+REGIMES = regimes(DEFAULT)
+"""By name, under the usual rules."""
+COMMANDED, PASSIVE, UNKNOWN_TORQUE = REGIMES.values()
+
+
+def regime_of(torques: np.ndarray | None, passive: bool, rules: Rules = DEFAULT) -> Regime:
     """That of a recording with these torques, (T, K) or none at all, NaN where missing."""
-    if passive:
-        return PASSIVE
-    return COMMANDED if torques is not None and np.isfinite(torques).any() else UNKNOWN_TORQUE
-
-
-def log_prior(levels: np.ndarray) -> np.ndarray:
-    """(G,) log prior of sizes of the residual: half for the spike, where there is one."""
-    if levels[0] == SPIKE:
-        return np.log(np.r_[0.5, np.full(len(levels) - 1, 0.5 / (len(levels) - 1))])
-    return np.full(len(levels), -np.log(len(levels)))
+    known = torques is not None and np.isfinite(torques).any()
+    return regimes(rules)["passive" if passive else "commanded" if known else "unknown_torque"]
 
 
 def imitable(effect: Effect) -> bool:

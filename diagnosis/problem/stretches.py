@@ -1,7 +1,7 @@
 """A long recording in the stretches of it that tell most, where evenly spread rows would lie too far apart.
 
-A diagnosis looks at ``ROWS`` rows. More than ``COARSEST`` apart they no longer show how the arm moves between them, so
-that a long recording is cut into windows, and those are chosen that together make the parameters of a motion known
+A diagnosis uses `max_rows` rows. More than `max_row_spacing` apart they no longer show how the arm moves between them,
+so that a long recording is cut into windows, and those are chosen that together make the parameters of a motion known
 best: greedily by the determinant of their information (D-optimal design: Fedorov 1972; Wynn 1970),
 
     w = argmax log det(A + X_wᵀ X_w),    A ← A + X_wᵀ X_w,    X = (1, y, ẏ, ÿ, tanh(ẏ/v)) of every column y,
@@ -14,20 +14,13 @@ Shapes: W windows, n rows in each, P = 1 + 4 columns.
 
 import numpy as np
 
+from invdyn.diagnosis.rules import Rules
 from invdyn.recordings import Recording
 
-COARSEST = 0.04
-"""s between rows, at most: 25 a second, the slowest camera."""
-WINDOWS = 20
-"""Of a diagnosis: fewer would choose little, and each that stands alone begins with an unknown state."""
-SLOW = 0.1
-"""v, in rms velocities: slower than that dry friction has no sign to go by."""
-BEFOREHAND = 1e-3
-"""Of all windows' mean information, that is known before the first."""
 
-
-def stretches(recording: Recording, most: int) -> list[Recording]:
-    """Stretches of a recording, in their order, that ``most`` rows show well; itself where they show all of it."""
+def stretches(recording: Recording, rules: Rules) -> list[Recording]:
+    """Stretches of a recording, in their order, that `max_rows` rows show well; itself where they show all of it."""
+    most = rules.recording.max_rows
     table = np.concatenate(
         [
             values.reshape(recording.num_frames, -1)
@@ -39,20 +32,20 @@ def stretches(recording: Recording, most: int) -> list[Recording]:
     seen = recording.time[np.isfinite(table).any(1)]
     if len(seen) <= most:
         return [recording]
-    apart = max(COARSEST, float(np.median(np.diff(seen))))
-    window = apart * most / WINDOWS
+    apart = max(rules.recording.max_row_spacing, float(np.median(np.diff(seen))))
+    window = apart * most / rules.recording.num_windows
     count = int((seen[-1] - seen[0]) / window)
-    if count <= WINDOWS:
+    if count <= rules.recording.num_windows:
         return [recording]
     edges = seen[0] + window * np.arange(count + 1)
-    chosen = np.sort(_telling(_information(recording.time, table, edges, apart)))
+    chosen = np.sort(_telling(_information(recording.time, table, edges, apart, rules), rules))
     pieces = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
     return [
         recording.at((recording.time >= edges[piece[0]]) & (recording.time < edges[piece[-1] + 1])) for piece in pieces
     ]
 
 
-def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: float) -> np.ndarray:
+def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: float, rules: Rules) -> np.ndarray:
     """X_wᵀ X_w (W, P, P) of each window, from means over ``apart`` seconds of columns (T, C), NaN where missing."""
     per = max(round((edges[1] - edges[0]) / apart), 3)
     bins = np.linspace(edges[0], edges[-1], per * (len(edges) - 1) + 1)
@@ -65,17 +58,17 @@ def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: 
         y = np.interp(middle, middle[there], total[there] / rows[there])
         yd = np.gradient(y, middle)
         speed = max(float(np.sqrt((yd**2).mean())), 1e-12)
-        features += [y - y.mean(), yd, np.gradient(yd, middle), np.tanh(yd / (SLOW * speed))]
+        features += [y - y.mean(), yd, np.gradient(yd, middle), np.tanh(yd / (rules.check.slow_velocity * speed))]
     X = np.stack(features, -1)
     X = (X / np.maximum(np.sqrt((X**2).mean(0)), 1e-12)).reshape(len(edges) - 1, per, -1)
     return np.swapaxes(X, 1, 2) @ X
 
 
-def _telling(information: np.ndarray) -> np.ndarray:
-    """Numbers (``WINDOWS``,) of the windows that tell most together, by greedy choice."""
-    known = BEFOREHAND * (information.mean(0) + 1e-9 * np.eye(information.shape[-1]))
+def _telling(information: np.ndarray, rules: Rules) -> np.ndarray:
+    """Numbers (`num_windows`,) of the windows that tell most together, by greedy choice."""
+    known = rules.recording.window_prior * (information.mean(0) + 1e-9 * np.eye(information.shape[-1]))
     chosen: list[int] = []
-    for _ in range(WINDOWS):
+    for _ in range(rules.recording.num_windows):
         gain = np.linalg.slogdet(known + information)[1]
         gain[chosen] = -np.inf
         chosen.append(int(gain.argmax()))

@@ -14,20 +14,19 @@ from typing import Any
 import numpy as np
 
 from invdyn.diagnosis.problem.stretches import stretches
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.recordings import Recording
 
-ROWS = 2000
-"""With an observation, at most, of one recording."""
 
-
-def looked_at(recording: Recording) -> list[Recording]:
-    """What a diagnosis looks at of a recording, ``ROWS`` rows of observations at most: itself, or stretches of it."""
-    parts = stretches(recording, ROWS)
+def looked_at(recording: Recording, rules: Rules = DEFAULT) -> list[Recording]:
+    """What a diagnosis looks at of a recording, `max_rows` rows of observations at most: itself, or stretches of it."""
+    parts = stretches(recording, rules)
+    most = rules.recording.max_rows
     lasts = [part.time[-1] - part.time[0] for part in parts]
-    return [thinned(part, int(ROWS * last / sum(lasts))) for part, last in zip(parts, lasts, strict=True)]
+    return [thinned(part, int(most * last / sum(lasts))) for part, last in zip(parts, lasts, strict=True)]
 
 
-def thinned(recording: Recording, most: int = ROWS) -> Recording:
+def thinned(recording: Recording, most: int) -> Recording:
     """``recording`` with no more than ``most`` rows of observations; itself where it has no more. NaN elsewhere."""
     streams: dict[str, Any] = {"keypoints": recording.keypoints, "angles": recording.angles}
     seen = _seen(recording)
@@ -46,9 +45,9 @@ def thinned(recording: Recording, most: int = ROWS) -> Recording:
     return replace(recording, **changed)
 
 
-def left_out(recordings: Sequence[Recording]) -> str | None:
+def left_out(recordings: Sequence[Recording], rules: Rules = DEFAULT) -> str | None:
     """A sentence about what a diagnosis does not look at of recordings; None where it looks at all."""
-    parts = [looked_at(each) for each in recordings]
+    parts = [looked_at(each, rules) for each in recordings]
     total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, chain(*parts)))
     if used == total:
         return None

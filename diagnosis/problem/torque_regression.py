@@ -23,22 +23,10 @@ from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 from invdyn.recordings.logs.mapping import JointMap
-
-WINDOWS = (7, 13, 25, 49, 97)
-"""Rows of a local cubic: few for a fast arm, many for noisy encoders."""
-MOST_ROWS, PAIR = 1200, 2
-"""Rows that count, of so many joints; fewer of more: neighbours say the same."""
-LOOSE = 0.3
-"""Of a link's number, by which its file may be off."""
-WEIGHT = 1e-3
-"""λ: a number that is off by two of its sds is worth six per cent of the torque."""
-SLOW = 0.1
-"""v, in rms velocities: slower than that dry friction has no sign to go by."""
-QUIET = 0.1
-"""Of the largest torque that the motion asks of a joint, that any joint's is taken to be at least."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +38,22 @@ class Motion:
     qdd: np.ndarray
     torque: np.ndarray
     terms: RobotTerms | None = None
+    rules: Rules = DEFAULT
 
     def picked(self, angles: list[int], torques: list[int]) -> "Motion | None":
         """The motion with its columns in other orders; None where a servo's target would be another motor's torque."""
         if self.terms is None:
             q, qd, qdd = (each[:, angles] for each in (self.q, self.qd, self.qdd))
-            return Motion(q, qd, qdd, self.torque[:, torques])
+            return replace(self, q=q, qd=qd, qdd=qdd, torque=self.torque[:, torques])
         if (terms := self.terms.commanding(torques)) is None:
             return None
         q, qd, qdd = (terms.angles(each, angles, n == 0) for n, each in enumerate((self.q, self.qd, self.qdd)))
-        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
+        return replace(self, q=q, qd=qd, qdd=qdd, torque=terms.torque(q, qd), terms=terms)
 
     def scaled(self, angle: Any = 1.0, torque: Any = 1.0, time: float = 1.0) -> "Motion":
         """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are lost."""
-        return Motion(self.q * angle, self.qd * angle / time, self.qdd * angle / time**2, self.torque * torque)
+        q, qd, qdd = self.q * angle, self.qd * angle / time, self.qdd * angle / time**2
+        return Motion(q, qd, qdd, self.torque * torque, rules=self.rules)
 
     def in_unit(self, angle: float, target: float) -> "Motion | None":
         """Angles and servos' targets times factors, about the zeros of the log; None where no target is known."""
@@ -71,7 +61,7 @@ class Motion:
             return self.scaled(angle=angle) if target == 1 else None
         terms, zero = self.terms.retargeted(target), self.terms.angle.zero
         q, qd, qdd = zero + angle * (self.q - zero), angle * self.qd, angle * self.qdd
-        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
+        return replace(self, q=q, qd=qd, qdd=qdd, torque=terms.torque(q, qd), terms=terms)
 
     def mirrored(self, joints: Sequence[int], angle: bool = False, torque: bool = False) -> "Motion":
         """Angles, commands or both of some joints counted the other way, about the zeros of the log."""
@@ -84,7 +74,7 @@ class Motion:
             q, qd, qdd = terms.angle.zero + sign * (q - terms.angle.zero), sign * qd, sign * qdd
         if torque:
             terms = terms.mirrored(joints)
-        return Motion(q, qd, qdd, terms.torque(q, qd), terms)
+        return replace(self, q=q, qd=qd, qdd=qdd, torque=terms.torque(q, qd), terms=terms)
 
     def turned(self, joint: int, zero: float) -> "Motion":
         """A joint's angle counted from elsewhere: less ``zero`` rad, which a servo's torque does not follow."""
@@ -129,14 +119,19 @@ def share(left: np.ndarray, asked: np.ndarray, joints: Sequence[int]) -> float:
 
 
 def smoothings(
-    body: Any, time: np.ndarray, angle: np.ndarray, torque: np.ndarray, maps: Sequence[JointMap] | None = None
+    body: Any,
+    time: np.ndarray,
+    angle: np.ndarray,
+    torque: np.ndarray,
+    maps: Sequence[JointMap] | None = None,
+    rules: Rules = DEFAULT,
 ) -> list[Motion]:
     """The motion under each of the windows that it is long enough for; arguments as :func:`smoothed`'s.
 
     A servo's torque is what it makes of its target, angle and velocity. ``maps`` are of a robot's own log, which counts
     its joints as the body's own file does.
     """
-    made = (smoothed(time, angle, torque, window) for window in WINDOWS)
+    made = (smoothed(time, angle, torque, window, rules) for window in rules.check.cubic_windows)
     return [_by_servos(motion, RobotTerms.of(body, motion.torque, maps)) for motion in made if motion is not None]
 
 
@@ -151,12 +146,14 @@ def passive(body: Any, motion: Motion) -> np.ndarray:
     for k, parts in enumerate(getattr(body, "joint_parts", ())):
         if parts is not None:
             q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
-            dry = parts.friction * np.tanh(qd / (SLOW * speed[k]))
+            dry = parts.friction * np.tanh(qd / (motion.rules.check.slow_velocity * speed[k]))
             taken[:, k] = parts.damping * qd + dry + parts.armature * qdd + parts.stiffness * (q - parts.rest)
     return taken
 
 
-def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: int) -> Motion | None:
+def smoothed(
+    time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: int, rules: Rules = DEFAULT
+) -> Motion | None:
     """Even rows of angles (T, K), NaN where missing, and of torques (T, K) that are held from each row to the next.
 
     None where there are too few rows for the window.
@@ -176,9 +173,9 @@ def smoothed(time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: in
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
     given = (area[1] - area[0]) / width[:, None]
     inner = slice(window // 2, len(even) - window // 2)
-    stride = slice(None, None, max(1, len(even) * max(angle.shape[1], PAIR) // (PAIR * MOST_ROWS)))
+    stride = slice(None, None, max(1, len(even) * max(angle.shape[1], 2) // (2 * rules.check.max_fit_rows)))
     q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
-    return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride])
+    return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride], rules=rules)
 
 
 def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
@@ -227,7 +224,7 @@ def joint_regressors(motion: Motion) -> np.ndarray:
     """q̇, tanh(q̇/v) and q̈ of each joint, (3K, R, K)."""
     K = motion.q.shape[1]
     speed = np.maximum(np.sqrt((motion.qd**2).mean(0)), 1e-12)
-    each = (motion.qd, np.tanh(motion.qd / (SLOW * speed)), motion.qdd)
+    each = (motion.qd, np.tanh(motion.qd / (motion.rules.check.slow_velocity * speed)), motion.qdd)
     return np.concatenate([np.eye(K)[:, None] * values for values in each])
 
 
@@ -253,7 +250,7 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
     asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
     size, needed = (np.sqrt((each**2).mean(0)) for each in (motion.torque, asked))
-    unit = np.maximum(np.maximum(size, QUIET * needed.max()), 1e-12)
+    unit = np.maximum(np.maximum(size, motion.rules.check.min_torque_scale * needed.max()), 1e-12)
     quantities = nominal_link_numbers(body)
     own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
     joints = joint_regressors(motion)
@@ -263,18 +260,22 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     largest = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in quantities]
     floor = np.concatenate([*largest, np.empty(0)])
     sd = np.concatenate(
-        [LOOSE * np.maximum(np.abs(own), 0.01 * floor), np.tile(unit, 3) / moved, 100 * unit[list(offsets)]]
+        [
+            motion.rules.check.link_sd * np.maximum(np.abs(own), 0.01 * floor),
+            np.tile(unit, 3) / moved,
+            100 * unit[list(offsets)],
+        ]
     )
     lower = np.concatenate([np.full(len(own), -3.0), np.zeros(len(joints)), np.full(len(offsets), -np.inf)])
     upper = np.concatenate([np.full(len(own), 3.0), np.full(len(joints), 10.0), np.full(len(offsets), np.inf)])
     rows = (X.reshape(len(X), -1) * sd[:, None]).T / np.sqrt(motion.torque.size)
     left = ((motion.torque - asked) / unit).ravel() / np.sqrt(motion.torque.size)
-    q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(WEIGHT) * np.eye(len(sd))]))
+    q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(motion.rules.check.ridge) * np.eye(len(sd))]))
     target = q.T @ np.concatenate([left, np.zeros(len(sd))])
     scaled = _bounded(r, target, lower, upper, len(own))
     off = (left - rows @ scaled).reshape(motion.torque.shape)
     missed = (off**2).sum(0)
-    penalty = WEIGHT * float((scaled**2).sum())
+    penalty = motion.rules.check.ridge * float((scaled**2).sum())
     total = missed.sum() + penalty
     by_joint = np.sqrt(missed * len(unit))
     explained = motion.torque - off * unit * np.sqrt(motion.torque.size)

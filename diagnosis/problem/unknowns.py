@@ -14,17 +14,9 @@ from pyro.distributions import Distribution, LogNormal, Normal
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.uncertain import Uncertain
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
-
-FAR = 4.0
-FARTHER = {"HalfNormal": 8.0, "Beta": 8.0, "StudentT": 10.0}
-"""Prior standard deviations beyond which no parameter goes, and those of priors with more in their tails or one side
-alone. Where nothing fits, evidence would else pay any price: arms without mass under motors without torque explain
-whatever there is."""
-EDGE = 1e-3
-"""Share of an upper edge that parameters keep away from it: at probability one, what else there is is impossible."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +42,7 @@ class Unknowns:
         return sum(terms, start=values.new_zeros(len(values)))
 
     def plausible(self, values: np.ndarray) -> bool:
-        """Whether values (p,) lie nearer to their priors' centres than ``FAR``."""
+        """Whether values (p,) lie within `max_prior_sds` of their priors' centres."""
         inside = 1e-3 * self.sd
         low = np.where(self.lower < self.mean, self.lower, -np.inf)
         return bool(((values > low + inside) & (values < self.upper - inside)).all())
@@ -79,9 +71,13 @@ class Unknowns:
 
 def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
     """Unknowns of bound ``effects``, but for those that are searched (:mod:`.noise`), and of the problem's body."""
-    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(problem.model.scale)]
-    rows = [(name, p.prior, centre(p), prior_sd(p), lower_bound(p), upper_bound(p)) for name, p in found]
-    rows += [(u.name, _normal(u.mean, u.sd), u.mean, u.sd, _least(u), u.mean + FAR * u.sd) for u in problem.uncertain]
+    rules, scale = problem.rules, problem.model.scale
+    found = [(f"{e.key}.{p.name}", p) for e in effects if not is_searched(e) for p in e.parameters(scale)]
+    rows = [(name, p.prior, centre(p), prior_sd(p), *bounds(p, rules)) for name, p in found]
+    for u in problem.uncertain:
+        far = rules.residual.max_prior_sds * u.sd
+        edge = -np.inf if u.signed else 0.1 * u.mean  # lengths, masses and inertias stay positive
+        rows.append((u.name, _normal(u.mean, u.sd), u.mean, u.sd, max(u.mean - far, edge), u.mean + far))
     names, priors = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Unknowns(names, priors, *np.array([row[2:] for row in rows], dtype=float).reshape(-1, 4).T)
 
@@ -93,12 +89,6 @@ def expanded_about(problem: DiagnosisProblem, base: FittedHypothesis) -> tuple[A
     """
     common = unknowns(problem, base.effects)
     return (base.model, common, base.mean) if base.effects else (problem.model, common, common.mean)
-
-
-def _least(number: Uncertain) -> float:
-    """Smallest value of a number of the body: lengths, masses and inertias stay above a tenth of what they are."""
-    edge = -np.inf if number.signed else 0.1 * number.mean
-    return max(number.mean - FAR * number.sd, edge)
 
 
 def _normal(mean: float, sd: float) -> Normal:
@@ -116,24 +106,31 @@ def prior_sd(parameter: Parameter) -> float:
     return float(prior.scale) if type(prior).__name__ == "HalfNormal" else float(prior.stddev)
 
 
-def lower_bound(parameter: Parameter) -> float:
-    """Smallest value that a parameter may have: its ``least``, its prior's edge, or ``FAR`` from its centre."""
-    far = centre(parameter) - _far(parameter) * prior_sd(parameter)
-    return max(far, parameter.least, float(getattr(parameter.prior.support, "lower_bound", -np.inf)))
+def bounds(parameter: Parameter, rules: Rules = DEFAULT) -> tuple[float, float]:
+    """Smallest and largest value that a parameter may have: its prior's edge, or so many sds from its centre.
+
+    Without limits evidence pays any price where nothing fits: arms without mass under motors without torque explain
+    any recording. At probability one, all else is impossible: an upper edge is not reached.
+    """
+    middle, far = centre(parameter), _max_sds(parameter, rules) * prior_sd(parameter)
+    support = parameter.prior.support
+    low, edge = (float(getattr(support, name, np.nan)) for name in ("lower_bound", "upper_bound"))
+    below = np.nanmax([middle - far, parameter.least, low])
+    above = np.nanmin([middle + far, edge - rules.residual.edge_margin * abs(edge)])
+    return float(below), float(above)
 
 
-def upper_bound(parameter: Parameter) -> float:
-    """Largest value that a parameter may have, likewise."""
-    far = centre(parameter) + _far(parameter) * prior_sd(parameter)
+def at_far_end(parameter: Parameter, value: float, rules: Rules = DEFAULT) -> bool:
+    """Whether a value is as large as it may be, and larger ones are not impossible, only implausible."""
+    _, above = bounds(parameter, rules)
+    margin = rules.residual.edge_margin
     edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
-    return min(far, edge - EDGE * abs(edge)) if np.isfinite(edge) else far
+    return value > (1 - margin) * above and above < edge - margin * abs(edge)
 
 
-def at_far_end(parameter: Parameter, value: float) -> bool:
-    """Whether a value is as large as it may be, and larger ones are not impossible, only beyond what is plausible."""
-    edge = float(getattr(parameter.prior.support, "upper_bound", np.inf))
-    return value > (1 - EDGE) * upper_bound(parameter) and upper_bound(parameter) < edge - EDGE * abs(edge)
-
-
-def _far(parameter: Parameter) -> float:
-    return FARTHER.get(type(parameter.prior).__name__, FAR)
+def _max_sds(parameter: Parameter, rules: Rules) -> float:
+    """Standard deviations that a parameter may be from its centre: more where a prior has one side or long tails."""
+    residual, kind = rules.residual, type(parameter.prior).__name__
+    if kind == "StudentT":
+        return residual.max_prior_sds_heavy
+    return residual.max_prior_sds_one_sided if kind in ("HalfNormal", "Beta") else residual.max_prior_sds

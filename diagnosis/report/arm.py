@@ -9,15 +9,7 @@ from invdyn.diagnosis.assessment.posture import Posture, typical_row
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.numbers import known, percent
 from invdyn.diagnosis.report.sentences import best
-
-WIDTH, LOWEST, HIGHEST = 400, 150, 320
-"""Of the picture; its height follows from the arm's."""
-
-EDGE = 56
-"""Room above and below; at the sides there is room for the longest words."""
-
-LONGEST = 14
-"""Letters of a name in the drawing."""
+from invdyn.diagnosis.rules import FIXED
 
 
 class View:
@@ -75,10 +67,16 @@ def arm(diagnosis: Diagnosis) -> Markup:
 def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:
     """One picture of points (N, 2)."""
     names = (*diagnosis.joint_names, *diagnosis.where.keypoints)
-    side = 26 + 8 * min(max(map(len, names), default=0), LONGEST)
+    side = 26 + 8 * min(max(map(len, names), default=0), FIXED.max_name_letters)
     span = np.ptp(points, 0)
-    height = int(np.clip((WIDTH - 2 * side) * span[1] / max(span[0], 1e-9) + 2 * EDGE, LOWEST, HIGHEST))
-    view = View(points, (WIDTH, height), (side, EDGE))
+    height = int(
+        np.clip(
+            (FIXED.arm_width - 2 * side) * span[1] / max(span[0], 1e-9) + 2 * FIXED.arm_margin,
+            FIXED.min_arm_height,
+            FIXED.max_arm_height,
+        )
+    )
+    view = View(points, (FIXED.arm_width, height), (side, FIXED.arm_margin))
     spots = view(points)
     where = diagnosis.where
     cause = best(diagnosis)
@@ -121,7 +119,10 @@ def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:
         drawn.append(_words(spot, lines, neighbours))
     shares = [f"{name} {percent(share)}" for name, share in (*where.joints.items(), *where.keypoints.items())]
     return Markup('<svg class="arm" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-        WIDTH, height, f"The arm with the share of the gap at each place: {', '.join(shares)}", Markup("").join(drawn)
+        FIXED.arm_width,
+        height,
+        f"The arm with the share of the gap at each place: {', '.join(shares)}",
+        Markup("").join(drawn),
     )
 
 
@@ -131,7 +132,7 @@ def level(share: float | None) -> int:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+    return name if len(name) <= FIXED.max_name_letters else f"{name[: FIXED.max_name_letters - 1]}…"
 
 
 def _words(spot: np.ndarray, lines: list[str], neighbours: list[np.ndarray], level_first: float = 0.5) -> Markup:

@@ -11,10 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from invdyn.diagnosis.report.numbers import fixed
-
-WIDE, HIGH = 2000, 1000
-MOST_POINTS = 800
-"""Points of a line; more are thinned to the lowest and highest of each stretch."""
+from invdyn.diagnosis.rules import FIXED
 
 
 def ticks(low: float, high: float, count: int) -> list[float]:
@@ -37,7 +34,7 @@ def limits(*arrays: np.ndarray, zero: bool = False, margin: float = 0.05) -> tup
     return low - room, high + room
 
 
-def thinned(x: np.ndarray, y: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+def thinned(x: np.ndarray, y: np.ndarray, most: int = FIXED.max_plot_points) -> tuple[np.ndarray, np.ndarray]:
     """At most about `most` points of a line, the lowest and the highest of each stretch, so that no spike is lost."""
     if len(x) <= most:
         return x, y
@@ -101,8 +98,8 @@ class Plot:
         self._texts: list[Markup] = []
 
     def _points(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        across = WIDE * (np.asarray(x, float) - self.x[0]) / (self.x[1] - self.x[0])
-        up = HIGH * (self.y[1] - np.asarray(y, float)) / (self.y[1] - self.y[0])
+        across = FIXED.plot_width * (np.asarray(x, float) - self.x[0]) / (self.x[1] - self.x[0])
+        up = FIXED.plot_height * (self.y[1] - np.asarray(y, float)) / (self.y[1] - self.y[0])
         return np.stack(np.broadcast_arrays(across, up), -1)
 
     def _add(self, d: str, style: str) -> None:
@@ -124,8 +121,8 @@ class Plot:
         d = ""
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             part = slice(start, stop)
-            upper = self._points(*thinned(x[part], high[part], MOST_POINTS // 2))
-            lower = self._points(*thinned(x[part], low[part], MOST_POINTS // 2))
+            upper = self._points(*thinned(x[part], high[part], FIXED.max_plot_points // 2))
+            lower = self._points(*thinned(x[part], low[part], FIXED.max_plot_points // 2))
             d += path(np.concatenate([upper, lower[::-1]])) + "Z"
         self._add(d, style)
 
@@ -137,18 +134,20 @@ class Plot:
         """A stretch of x, shaded, with a word at its top."""
         ends = np.clip([start, stop], *self.x)
         a, b = (float(v) for v in self._points(ends, np.zeros(2))[:, 0])
-        self._add(f"M{round(a)} 0H{max(round(b), round(a) + 3)}V{HIGH}H{round(a)}Z", "span")
-        place = min(max((a + b) / 2 / WIDE, 0.05), 0.95)
+        self._add(f"M{round(a)} 0H{max(round(b), round(a) + 3)}V{FIXED.plot_height}H{round(a)}Z", "span")
+        place = min(max((a + b) / 2 / FIXED.plot_width, 0.05), 0.95)
         self._texts.append(Markup('<b style="left:{:.1%}">{}</b>').format(place, text))
 
     def html(self, label: str) -> Markup:
         """The figure; `label` tells what it shows to those who do not see it."""
         across, up = ticks(*self.x, self.counts[0]), ticks(*self.y, self.counts[1])
         xs, ys = (
-            self._points(np.array(across), np.zeros(len(across)))[:, 0] / WIDE,
+            self._points(np.array(across), np.zeros(len(across)))[:, 0] / FIXED.plot_width,
             self._points(np.zeros(len(up)), np.array(up))[:, 1],
         )
-        grid = "".join(f"M{round(v * WIDE)} 0V{HIGH}" for v in xs) + "".join(f"M0 {round(v)}H{WIDE}" for v in ys)
+        grid = "".join(f"M{round(v * FIXED.plot_width)} 0V{FIXED.plot_height}" for v in xs) + "".join(
+            f"M0 {round(v)}H{FIXED.plot_width}" for v in ys
+        )
         return Markup(
             '<div class="plot" role="img" aria-label="{}"><div class="yname">{}</div>'
             '<div class="y">{}</div><div class="box" style="height:{}px">{}'
@@ -157,11 +156,11 @@ class Plot:
         ).format(
             label,
             self.names[1],
-            _labels("top", ys / HIGH, up),
+            _labels("top", ys / FIXED.plot_height, up),
             self.height,
             Markup("").join(self._texts),
-            WIDE,
-            HIGH,
+            FIXED.plot_width,
+            FIXED.plot_height,
             grid,
             Markup("").join(self._marks),
             _labels("left", xs, across),

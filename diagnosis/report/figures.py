@@ -4,17 +4,12 @@ import numpy as np
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Diagnosis
-from invdyn.diagnosis.report.drawing import MOST_POINTS, Plot, limits
+from invdyn.diagnosis.report.drawing import Plot, limits
 from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain, root_mean_square
+from invdyn.diagnosis.rules import FIXED
 
 Z90 = 1.6448536269514722
 """Half a central 90 % interval of a Gaussian, in standard deviations."""
-
-QUIET = 0.15
-"""Share of frames beyond a 90 % band up to which nothing is there but what the band itself leaves out."""
-
-FAINT = 0.15
-"""Share of the largest residual on a map under which a point stays grey, unless its own uncertainty reaches further."""
 
 
 def timeline(diagnosis: Diagnosis) -> Markup | None:
@@ -54,9 +49,9 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
         peak = float(np.nanquantile(np.abs(before), 0.98))
         spread = tracks.residual_before_sd[:, j]
         doubt = Z90 * float(np.nanmedian(spread)) if np.isfinite(spread).any() else 0.0
-        low = max(FAINT * peak, doubt, 1e-9)
+        low = max(FIXED.min_map_share * peak, doubt, 1e-9)
         edges = low + max(peak - low, low) * np.array([0.0, 1 / 3, 2 / 3])
-        stride = -(-len(angle) // (2 * MOST_POINTS))
+        stride = -(-len(angle) // (2 * FIXED.max_plot_points))
         sides, loud = [], 0.0
         for words, residual in _sides(before, after):
             plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)
@@ -71,7 +66,7 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
             sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
         key = [plain(edge, 2) for edge in edges]
         shown = {"joint": name, "before": sides[0], "after": sides[1] if len(sides) > 1 else None}
-        found.append(shown | {"key": key, "quiet": loud <= QUIET})
+        found.append(shown | {"key": key, "quiet": loud <= FIXED.max_quiet_share})
     return found
 
 

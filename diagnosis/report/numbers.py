@@ -11,9 +11,7 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.digits import decimals
 from invdyn.diagnosis.assessment.result import Estimate
-
-MOST_DIGITS = 6
-"""Significant digits to which two numbers are told apart."""
+from invdyn.diagnosis.rules import FIXED
 
 NOTHING = "–"
 """Stands for a number that was not measured."""
@@ -73,7 +71,7 @@ def handy(value: float | None, unit: str, digits: int = 2) -> str:
 def apart(write: Callable[[float | None, int], str], *values: float | None, digits: int = 2) -> list[str]:
     """Numbers as ``write`` has them, to as many more ``digits`` as tell them apart where they are not the same."""
     different = len(set(filter(known, values)))
-    for more in range(digits, MOST_DIGITS + 1):
+    for more in range(digits, FIXED.max_digits + 1):
         texts = [write(value, more) for value in values]
         if len({text for text, value in zip(texts, values, strict=True) if known(value)}) >= different:
             break

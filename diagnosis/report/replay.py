@@ -9,11 +9,7 @@ from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.arm import View
 from invdyn.diagnosis.report.drawing import Plot, dots, limits
 from invdyn.diagnosis.report.numbers import fixed, root_mean_square
-
-FRAMES = 600
-WIDTH, HEIGHT = 480, 360
-GHOSTS = 400
-"""Recorded points of each keypoint that stay in the background."""
+from invdyn.diagnosis.rules import FIXED
 
 
 def replay(diagnosis: Diagnosis) -> dict | None:
@@ -24,7 +20,7 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     tracks = diagnosis.tracks
     if tracks is None or not np.isfinite(tracks.nominal_replay).any():
         return None
-    rows = np.arange(0, len(tracks.time), -(-len(tracks.time) // FRAMES))
+    rows = np.arange(0, len(tracks.time), -(-len(tracks.time) // FIXED.max_replay_frames))
     seen_from = np.eye(2) if diagnosis.posture is None else diagnosis.posture.views[0]
     time = tracks.time[rows]
     whole = {"nominal": tracks.nominal_replay[rows]}
@@ -35,7 +31,9 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     sides = {name: v @ seen_from.T for name, v in whole.items()}
     seen = _usual(np.concatenate([observed.reshape(-1, 2), smoothed.reshape(-1, 2)]))
     drawn = _usual(np.concatenate([v.reshape(-1, 2) for v in sides.values()]))
-    view = View(_within(np.concatenate([seen, drawn, base_at[None]]), seen), (WIDTH, HEIGHT), (14, 14))
+    view = View(
+        _within(np.concatenate([seen, drawn, base_at[None]]), seen), (FIXED.replay_width, FIXED.replay_height), (14, 14)
+    )
     base = 10 * view(base_at)
     worst = int(np.nanargmax(off["nominal"])) if np.isfinite(off["nominal"]).any() else 0
     data = {
@@ -51,12 +49,12 @@ def replay(diagnosis: Diagnosis) -> dict | None:
     if corrected:
         plot.line(time - time[0], off["corrected"], "line after")
     label = ", ".join(f"{name} {fixed(root_mean_square(v), 1)} mm rms" for name, v in off.items())
-    ghosts = observed[:: -(-len(rows) // GHOSTS)].reshape(-1, 2)
+    ghosts = observed[:: -(-len(rows) // FIXED.max_background_points)].reshape(-1, 2)
     return {
         "data": data,
         "corrected": corrected,
-        "width": 10 * WIDTH,
-        "height": 10 * HEIGHT,
+        "width": 10 * FIXED.replay_width,
+        "height": 10 * FIXED.replay_height,
         "ghosts": dots(10 * view(ghosts)),
         "still": {name: chain(base, 10 * view(v[worst])) for name, v in sides.items()},
         "points": dots(10 * view(observed[worst])),

@@ -15,7 +15,6 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
@@ -23,15 +22,10 @@ from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, han
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
 from invdyn.diagnosis.report.words import SHORT_SIDES, cause_words, finding_words, key_words, meaning
+from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings.atomic import write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
-
-SHOWN = 5
-"""Causes in full view; the rest are folded away."""
-
-CLEAR = 5.0
-"""Change over the noise (d′) above which an effect of typical size shows plainly."""
 
 
 def write_report(diagnosis: Diagnosis, path: str | Path) -> None:
@@ -59,13 +53,13 @@ def render(diagnosis: Diagnosis) -> str:
         maps=maps(diagnosis) if enough else [],
         residuals=residuals(diagnosis) if enough else [],
         ranked=_ranked(diagnosis),
-        shown=SHOWN,
+        shown=FIXED.num_shown,
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
         file_changes=_file_changes(diagnosis),
-        faint=plain(RULE.faint, 2),
-        clear=plain(CLEAR, 2),
+        faint=plain(diagnosis.rules.evidence.min_dprime, 2),
+        clear=plain(diagnosis.rules.evidence.clear_dprime, 2),
         hidden_torque=not diagnosis.knows_torque,
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
         visible=_visible(diagnosis),
@@ -236,6 +230,12 @@ def _visible(diagnosis: Diagnosis) -> dict[str, list]:
     """Candidates by whether the recording could have shown them, with d′."""
     groups: dict[str, list] = {"yes": [], "faintly": [], "no": []}
     for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):
-        name = "no" if not v.dprime >= RULE.faint else "yes" if v.dprime >= CLEAR else "faintly"
+        name = (
+            "no"
+            if not v.dprime >= diagnosis.rules.evidence.min_dprime
+            else "yes"
+            if v.dprime >= diagnosis.rules.evidence.clear_dprime
+            else "faintly"
+        )
         groups[name].append((key_words(v.key, diagnosis), plain(v.dprime, 2)))
     return groups

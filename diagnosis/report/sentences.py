@@ -4,9 +4,8 @@ from invdyn.diagnosis.assessment.result import LEFT_OUT, STEPS, Cause, Diagnosis
 from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
+from invdyn.diagnosis.rules import FIXED
 
-WITHIN = 0.005
-"""Of each other, shares that are told alike: half a per cent."""
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
@@ -140,7 +139,7 @@ def _small(diagnosis: Diagnosis) -> str:
 
 def _place(diagnosis: Diagnosis) -> str:
     seen, site, shares = _shares(diagnosis.where)
-    if (top := largest(shares)) and top[1] >= 0.5 - WITHIN:
+    if (top := largest(shares)) and top[1] >= 0.5 - FIXED.equal_share:
         return f" at {named(_largest(site, shares))}"
     return f" in {SIDES['observation']}" if seen else ""
 
@@ -154,7 +153,7 @@ def _shares(w: Where) -> tuple[bool, str, dict[str, float]]:
 def _most(shares: dict[str, float]) -> list[str]:
     """The places that have the largest share as it is told: none of a tie before the others."""
     most = max(shares.values(), default=0.0)
-    return [name for name, share in shares.items() if share >= most - WITHIN]
+    return [name for name, share in shares.items() if share >= most - FIXED.equal_share]
 
 
 def _largest(kind: str, shares: dict[str, float]) -> list[str]:

@@ -17,9 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-ROUNDS = 6
-RUNAWAY = 1e10
-"""More standard deviations than any effect moves the data by; beyond it nothing is left of their digits."""
+from invdyn.diagnosis.rules import FIXED
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def regression(
         log_det: Σ ½ log |S_t|, (H,) or a number.
 
     A candidate under which the simulation runs away has evidence −∞ and NaN as its mean: products that are not finite,
-    or a parameter of typical size that moves the data by more than ``RUNAWAY`` of their standard deviations.
+    or a parameter of typical size that moves the data by more than `diverged_sds` of their standard deviations.
     """
     p = index.shape[1]
     used = index > 0
@@ -72,14 +70,14 @@ def regression(
     rr = gram[0, 0] + has * (2 * gram[0, offset] + gram[offset, offset])
     follows = np.isfinite(AA).all((1, 2)) & np.isfinite(Ar).all(1) & np.isfinite(rr)
     moved = np.where(used, np.diagonal(AA, axis1=1, axis2=2) * prior_sd**2, 0.0)
-    follows &= (moved < RUNAWAY**2).all(1)
+    follows &= (moved < FIXED.diverged_sds**2).all(1)
     AA, Ar = np.where(follows[:, None, None], AA, 0.0), np.where(follows[:, None], Ar, 0.0)
     rr = np.where(follows, rr, 1.0)
     precision = np.where(used, 1 / prior_sd**2, 1.0)
     mu = np.where(used, prior_mean, 0.0)
     kappa2 = np.maximum(rr / count, 1e-12)
     eye = np.eye(p)
-    for _ in range(ROUNDS):
+    for _ in range(FIXED.kappa_rounds):
         Lambda = AA / kappa2[:, None, None] + precision[:, :, None] * eye
         right = precision * mu - Ar / kappa2[:, None]
         mean = np.linalg.solve(Lambda, right[..., None])[..., 0]

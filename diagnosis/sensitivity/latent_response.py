@@ -13,15 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArmModel
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import gaussian_mean
 
-TURN, EVEN = 0.2, 1e-3
-"""rad, that the joints turn between rows of which slopes are worked out; and how far spacing may be uneven."""
 
-
-def latent_response(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def latent_response(model: ArmModel, path: Tensor, count: int, rules: Rules = DEFAULT) -> tuple[Tensor, Tensor]:
     """Along ``path`` (T, D): paths (S, T, D + 2) with the hinge of ``model``, of S = ``count`` parameter sets.
 
     And the next states (S, T−1, D + 2) of their rows, to first order too.
@@ -41,7 +39,7 @@ def latent_response(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, 
     spread = model.parameters[f"initial.hidden.{model.effects.hinge.key}"]
     nudges = torch.tensor(spread.tolist(), dtype=path.dtype) * 1e-3
 
-    rest, some = moved(path, rows), _some(model, path[0])
+    rest, some = moved(path, rows), _some(model, path[0], rules.screening.slope_turn)
 
     def slope(nudge: Tensor) -> Tensor:
         shifted = path.clone()
@@ -58,13 +56,13 @@ def latent_response(model: ArmModel, path: Tensor, count: int) -> tuple[Tensor, 
     return path, rest + (slopes @ path[:, :-1, hidden].unsqueeze(-1)).squeeze(-1)
 
 
-def _some(model: ArmModel, path: Tensor) -> Tensor:
-    """Steps of ``path`` (T, D), from 0, ``TURN`` or one step apart, the first and the last among them; or all."""
+def _some(model: ArmModel, path: Tensor, turn: float) -> Tensor:
+    """Steps of ``path`` (T, D), from 0, ``turn`` rad or one step apart, the first and the last among them; or all."""
     steps, count = model.time.diff(), len(path) - 1
-    if steps.max() - steps.min() > EVEN * steps.min():
+    if steps.max() - steps.min() > FIXED.uneven_spacing * steps.min():
         return torch.arange(count)
     turned = model.split(path)[1].diff(dim=0).abs().amax(-1).cumsum(0)
-    stretch = (turned / TURN).floor()
+    stretch = (turned / turn).floor()
     stretch[-1] = stretch[-1] + 1  # the last one counts
     return torch.cat([torch.zeros(1, dtype=torch.long), stretch.diff().nonzero()[:, 0] + 1])
 

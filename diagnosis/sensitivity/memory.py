@@ -21,13 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn.diagnosis.problem.unknowns import Unknowns
+from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.whiten import Whitened
-
-MOST = 0.6
-"""M: what remembers more is no tracker."""
-TELLS = 1.0
-"""Nats, n m²/2, that a memory must be able to gain for more than its spike to be looked at."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ class Expansion:
     gain: float
 
 
-def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[Expansion]:
+def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray, rules: Rules = DEFAULT) -> list[Expansion]:
     """Regression on all unknowns' columns, expanded about ``point`` (p,), for each size."""
     index = np.arange(1, len(point) + 1)[None]
     prior = (among.mean - point)[None], among.sd[None], (among.lower - point)[None], (among.upper - point)[None]
@@ -59,17 +55,17 @@ def expansions(whitened: Whitened, among: Unknowns, point: np.ndarray) -> list[E
     def at(gram: np.ndarray, log_det: float) -> Regression:
         return regression(gram, index, np.zeros(1, int), *prior, whitened.count, log_det)
 
-    found = []
+    found, limit = [], rules.residual.max_memory
     for gram, log_det, columns in zip(whitened.gram, whitened.log_det, whitened.columns, strict=True):
         white = best = at(gram, log_det)
         late, early = columns[after], columns[after - whitened.width]
-        memory, slab = _correlation(late, early, white.mean[0]), -np.inf
+        memory, slab = _correlation(late, early, white.mean[0], limit), -np.inf
         spike = float(white.log_evidence[0]) + np.log(0.5)
-        if 0.5 * len(after) * memory**2 > TELLS:
+        if 0.5 * len(after) * memory**2 > rules.residual.min_memory_gain:
             left = _forgotten(late, early, memory)
             best = at(gram - late.T @ late + left.T @ left, log_det + len(after) * _log_det(memory))
             width = np.sqrt(2 * np.pi * (1 - memory**2) / len(after))
-            slab = float(best.log_evidence[0]) + np.log(0.5 * width / MOST)
+            slab = float(best.log_evidence[0]) + np.log(0.5 * width / limit)
         if not slab > spike:
             best, memory = white, 0.0
         total = float(np.logaddexp(spike, slab))
@@ -101,8 +97,8 @@ def _log_det(memory: float) -> float:
     return 0.5 * float(np.log1p(-(memory**2)))
 
 
-def _correlation(late: np.ndarray, early: np.ndarray, mean: np.ndarray) -> float:
-    """Of neighbouring errors (n,) where the parameters are ``mean`` (J,), from their columns (n, 1 + J); 0 to M."""
+def _correlation(late: np.ndarray, early: np.ndarray, mean: np.ndarray, limit: float) -> float:
+    """Of neighbouring errors (n,) where the parameters are ``mean`` (J,), from columns (n, 1 + J); 0 to ``limit``."""
     one, other = (columns @ np.r_[1.0, mean] for columns in (late, early))
     size = float(np.sqrt((one @ one) * (other @ other)))
-    return float(np.clip(one @ other / size, 0.0, MOST)) if 0 < size < np.inf else 0.0
+    return float(np.clip(one @ other / size, 0.0, limit)) if 0 < size < np.inf else 0.0

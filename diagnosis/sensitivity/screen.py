@@ -18,11 +18,11 @@ from torch import Tensor
 from invdyn.diagnosis.kept_units import Numbers, kept
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.regime import SLAB, SPIKE, log_prior
 from invdyn.diagnosis.problem.unknowns import Unknowns
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
-from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, Hypothesis, hypotheses, slopes, spans, unchanged
+from invdyn.diagnosis.sensitivity.sensitivities import Columns, Hypothesis, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, products
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.execution.distribute import Tensors
@@ -31,24 +31,11 @@ from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import HiddenHinge
 
-PEAKS = 2
-"""Stretches of time that are kept, for each size that they are sought under."""
-SHORT, SURELY = 11, 10.0
-"""Short stretches that are tried within one, each two of so many parts of it long; and what the best must explain
-beyond it, in twice the nats."""
-
-COLUMN = 0.6
-"""Passes (:mod:`..budget`) that a column takes."""
-BLOCK, LONG = 200, 1500
-"""Columns that are whitened together, fewer of them along more rows: memory is what holds both."""
-HINGED, BEGUN = 10, 20
-"""It is a longer chain in more sub-steps, about rest and two nudges; and columns in whose time any effect is begun."""
-
 
 def windows(
     problem: DiagnosisProblem, model: ArmModel, path: Tensor, linear: Linearisation
 ) -> list[tuple[float, float]]:
-    """Stretches of time in which a burst of torque on the joints would explain most: ``PEAKS`` for each of three sizes.
+    """Stretches of time in which a burst of torque on the joints would explain most: a few for each of three sizes.
 
     And a short one within the first of them, where that explains surely more: what strikes within a row or two and is
     then over is not like a long push, however weak.
@@ -56,7 +43,9 @@ def windows(
     K = model.body.num_joints
     response = linear.F[:, :, :K].copy()
     response[:, :K] = 0.0
-    about = filter_of(problem, model, path, np.array([SPIKE, SLAB[0], SLAB[2]]), linear)
+    residual = problem.rules.residual
+    sizes = np.array([residual.spike_size, residual.slab_sizes[0], residual.slab_sizes[2]])
+    about = filter_of(problem, model, path, sizes, linear)
 
     count = int((~problem.observations.isnan()).sum())
 
@@ -67,26 +56,32 @@ def windows(
         A = own + 1e-9 * total[:, None, None, None] * np.eye(K)
         return np.einsum("gwi,gwij,gwj->gw", with_data, np.linalg.inv(A), with_data) * count / data[:, None]
 
-    times = spans(model)
+    times, rules = spans(model, problem.rules), problem.rules.screening
     gains = gains_of(times)
     firsts, most = gains.argmax(-1), gains.max(-1)
     found = set()
     for gain in gains:
-        for _ in range(PEAKS):
+        for _ in range(rules.num_peaks):
             top = int(gain.argmax())
             found.add(times[top])
             gain[max(top - 2, 0) : top + 3] = -np.inf
-    middles = {
-        sum(times[first]) / 2 + shift for first in firsts for shift in np.linspace(-WINDOW / 2, WINDOW / 2, SHORT)
-    }
-    short = [(middle - WINDOW / SHORT, middle + WINDOW / SHORT) for middle in sorted(middles)]
+    window, count_short = rules.burst_window, rules.num_short_windows
+    shifts = np.linspace(-window / 2, window / 2, count_short)
+    middles = {sum(times[first]) / 2 + shift for first in firsts for shift in shifts}
+    short = [(middle - window / count_short, middle + window / count_short) for middle in sorted(middles)]
     gains = gains_of(short)
-    found |= {short[int(gain.argmax())] for gain, least in zip(gains, most, strict=True) if gain.max() > least + SURELY}
+    for gain, least in zip(gains, most, strict=True):
+        if gain.max() > least + rules.min_short_gain:
+            found.add(short[int(gain.argmax())])
     return sorted(found)
 
 
 def blocks(
-    model: ArmModel, effects: Sequence[Effect], path: Tensor, times: Sequence[tuple[float, float]] = ()
+    model: ArmModel,
+    effects: Sequence[Effect],
+    path: Tensor,
+    times: Sequence[tuple[float, float]] = (),
+    rules: Rules = DEFAULT,
 ) -> Iterator[tuple[list[Hypothesis], list[Columns], list[int]]]:
     """Effects' hypotheses and columns, in blocks that memory holds; and each hypothesis' first column, side by side.
 
@@ -97,9 +92,9 @@ def blocks(
     pieces: list[Columns] = []
     first: list[int] = []
     count = 0
-    room = BLOCK if len(path) < LONG else BLOCK * LONG // len(path)
+    room = FIXED.max_block_columns * FIXED.max_block_rows // max(len(path), FIXED.max_block_rows)
     for effect in effects:
-        mine, columns = hypotheses(model, effect, path, plain, times)
+        mine, columns = hypotheses(model, effect, path, plain, times, rules)
         if count and count + columns.g.shape[-1] > room:
             yield found, pieces, first
             found, pieces, first, count = [], [], [], 0
@@ -251,17 +246,17 @@ def _screened(
     levels = levels[:3] if quiet and problem.regime.knows_torque else levels
     # What an effect adds is small: half of the sub-steps tell it as well.
     quick = model.in_substeps((model.substeps + 1) // 2)
-    rest = slopes(quick, common, point, 0.05 * common.sd, path)
-    weights = log_prior(levels)
+    rest = slopes(quick, common, point, problem.rules.screening.slope_step * common.sd, path)
+    weights = problem.regime.log_prior_of_first(len(levels))
     screened: list[Screened] = []
     linear = linear_of(problem, model, path)
     about = filter_of(problem, model, path, levels, linear)
     if not times and any("moment" in effect.located for effect in effects):
         times = windows(problem, model, path, linear)
-    for found, pieces, first in blocks(quick, effects, path, times):
+    for found, pieces, first in blocks(quick, effects, path, times, problem.rules):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
         columns = beside([*pieces, rest])
-        problem.budget.spend(COLUMN * columns.g.shape[-1], model, len(path))
+        problem.budget.spend(FIXED.column_cost * columns.g.shape[-1], model, len(path))
         whitened = products(problem, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
         table = np.stack([r.log_evidence for r in results])  # (G, H)
@@ -276,9 +271,10 @@ def _screened(
             part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
             size, place = np.unravel_index(part.argmax(), part.shape)
             best = found[mine[place]]
-            apart = [abs(found[i].point.get("moment", 0.0) - best.point.get("moment", 0.0)) > WINDOW for i in mine]
+            moments = np.array([found[i].point.get("moment", 0.0) for i in mine])
+            apart = np.abs(moments - best.point.get("moment", 0.0)) > problem.rules.screening.burst_window
             next_best = np.where(apart, part, -np.inf)
-            other = np.unravel_index(next_best.argmax(), part.shape) if any(apart) else None
+            other = np.unravel_index(next_best.argmax(), part.shape) if apart.any() else None
             screened.append(
                 Added(
                     best.effect,
@@ -358,8 +354,9 @@ def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
 
 
 def _cost(effect: Effect, model: ArmModel) -> int:
-    """Columns of an effect, and ``BEGUN`` for any; those of a hidden hinge take as long as ``HINGED`` of another's."""
+    """Columns of an effect, and a few for any; one of a hidden hinge costs as much as several of another's."""
     parameters = effect.parameters(model.scale)
     straight = sum(not p.grid for p in parameters)
     points = math.prod(len(p.grid) or 1 for p in parameters)
-    return BEGUN + points * (straight or len(parameters) + 1) * (HINGED if isinstance(effect, HiddenHinge) else 1)
+    each = FIXED.hinge_cost if isinstance(effect, HiddenHinge) else 1
+    return FIXED.effect_cost + points * (straight or len(parameters) + 1) * each

@@ -16,22 +16,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.unknowns import Unknowns, lower_bound, prior_sd, upper_bound
+from invdyn.diagnosis.problem.unknowns import Unknowns, bounds, prior_sd
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.linearisation import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.state_space import gaussian_mean
-
-WINDOW = 0.1
-"""s, length of the stretches in which a burst of torque is sought, and half of which they are apart."""
-
-STEP = 0.5
-"""Of a secant, in standard deviations of the prior."""
-
-MANY = 64
-"""Parameter sets at once, at most: more take no less time each, and memory that is new each time."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +61,20 @@ class Columns:
 
 
 def changes(
-    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+    model: ArmModel,
+    effect: Effect,
+    sets: Sequence[dict[str, float]],
+    path: Tensor,
+    plain: Tensor,
+    rules: Rules = DEFAULT,
 ) -> tuple[Tensor, Tensor]:
     """What ``effect`` at each of S parameter sets makes of f and h along ``path`` (T, D): (S, T−1, D), (S, T, O).
 
     ``plain`` (T−1, D) is f without it.
     """
-    parts = [_changed(model, effect, sets[i : i + MANY], path, plain) for i in range(0, len(sets), MANY)]
+    most = FIXED.max_parameter_sets
+    batches = (sets[i : i + most] for i in range(0, len(sets), most))
+    parts = [_changed(model, effect, batch, path, plain, rules) for batch in batches]
     if len(parts) == 1:
         return parts[0]
     f, h = (torch.cat(each) for each in zip(*parts, strict=True))
@@ -83,7 +82,12 @@ def changes(
 
 
 def _changed(
-    model: ArmModel, effect: Effect, sets: Sequence[dict[str, float]], path: Tensor, plain: Tensor
+    model: ArmModel,
+    effect: Effect,
+    sets: Sequence[dict[str, float]],
+    path: Tensor,
+    plain: Tensor,
+    rules: Rules = DEFAULT,
 ) -> tuple[Tensor, Tensor]:
     rows = torch.arange(len(path))
     names = sets[0].keys()
@@ -96,7 +100,7 @@ def _changed(
     hidden = slice(model.torque_size, model.torque_size + with_effect.state_dim - model.state_dim)
     with torch.no_grad():
         if hinge:
-            path, f = latent_response(with_effect, path, len(sets))
+            path, f = latent_response(with_effect, path, len(sets), rules)
         else:
             # What the camera alone makes of it moves no arm.
             f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
@@ -118,6 +122,7 @@ def hypotheses(
     path: Tensor,
     plain: tuple[Tensor, Tensor],
     windows: Sequence[tuple[float, float]] = (),
+    rules: Rules = DEFAULT,
 ) -> tuple[list[Hypothesis], Columns]:
     """All grid points of an effect and their columns.
 
@@ -131,7 +136,7 @@ def hypotheses(
         points = [{"moment": (start + stop) / 2, "duration": stop - start} for start, stop in windows]
         bent = []
         straight = [p for p in parameters if p.name not in effect.located]
-        rare = -np.log(max(2 * model.scale.duration / WINDOW, 1.0))
+        rare = -np.log(max(2 * model.scale.duration / rules.screening.burst_window, 1.0))
     else:
         names = [p.name for p in bent]
         points = [dict(zip(names, values, strict=True)) for values in product(*(p.grid for p in bent))]
@@ -146,7 +151,7 @@ def hypotheses(
         if straight:
             free, first = straight, len(pieces)
             for p in straight:
-                step = STEP * prior_sd(p)
+                step = rules.screening.secant_step * prior_sd(p)
                 sets.append(base | {p.name: absent[p.name] + step})
                 pieces.append((len(sets) - 1, None, step))
             offset: int | None = None
@@ -162,7 +167,7 @@ def hypotheses(
                 pieces.append((len(sets) - 1, here, step))
         sd = [prior_sd(p) if straight else spacing(p, point[p.name]) for p in free]
         # Slopes at a grid point tell nothing of what lies beyond its neighbours.
-        ends = [bounds(p) if straight else neighbours(p, point[p.name]) for p in free]
+        ends = [bounds(p, rules) if straight else neighbours(p, point[p.name], rules) for p in free]
         found.append(
             Hypothesis(
                 effect,
@@ -177,7 +182,7 @@ def hypotheses(
             )
         )
     f0, h0 = plain
-    f, h = changes(model, effect, sets, path, f0)
+    f, h = changes(model, effect, sets, path, f0, rules)
 
     def column(values: Tensor, plain: Tensor, which: tuple) -> Tensor:
         here, other, step = which
@@ -194,21 +199,16 @@ def spacing(parameter: Parameter, value: float) -> float:
     return float(max((high - low) / 2, 1e-12))
 
 
-def neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
+def neighbours(parameter: Parameter, value: float, rules: Rules = DEFAULT) -> tuple[float, float]:
     """A grid point's neighbours; at an end of the grid, as far beyond it as the last one is before, within bounds."""
     low, high = _beside(parameter, value)
     if low == high:
-        return bounds(parameter)
-    least, most = bounds(parameter)
+        return bounds(parameter, rules)
+    least, most = bounds(parameter, rules)
     if low == value:
         # Half of a number that has a sign is far enough towards zero.
         return max(2 * value - high, value / 2 if least >= 0 else least), high
     return low, min(2 * value - low, most) if high == value else high
-
-
-def bounds(parameter: Parameter) -> tuple[float, float]:
-    """The smallest and the largest value that the prior has."""
-    return lower_bound(parameter), upper_bound(parameter)
 
 
 def _beside(parameter: Parameter, value: float) -> tuple[float, float]:
@@ -240,11 +240,12 @@ def slopes(model: ArmModel, among: Unknowns, point: np.ndarray, step: np.ndarray
     return Columns(slope(f), slope(h))
 
 
-def spans(model: ArmModel) -> list[tuple[float, float]]:
-    """Stretches of ``WINDOW`` seconds, half of which each shares with the next, over all of a recording.
+def spans(model: ArmModel, rules: Rules = DEFAULT) -> list[tuple[float, float]]:
+    """Stretches of `burst_window` seconds, half of which each shares with the next, over all of a recording.
 
     One over the whole of a shorter one.
     """
     first, last = model.time[[0, -1]].tolist()
-    starts = np.arange(first, max(last - WINDOW / 2, first + WINDOW / 4), WINDOW / 2)
-    return [(float(s), float(min(s + WINDOW, last))) for s in starts]
+    window = rules.screening.burst_window
+    starts = np.arange(first, max(last - window / 2, first + window / 4), window / 2)
+    return [(float(s), float(min(s + window, last))) for s in starts]

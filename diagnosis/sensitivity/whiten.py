@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.innovations import Gains, gains, innovations
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, linearise
@@ -59,14 +60,6 @@ class Whitened:
         return int(self.seen.sum())
 
 
-LARGE = 2**25
-"""Whitened numbers, 256 MB of them, up to which those for all sizes are held at once."""
-SKIPPED = 1.5
-"""Usual intervals between two rows, from which on the later one does not follow the earlier one."""
-LINEARISED, FILTERED = 0.75, 0.2
-"""Passes (:mod:`..budget`) that a linearisation takes here, and the filter of each size."""
-
-
 def linear_of(problem: DiagnosisProblem, model: ArmModel, path: Tensor, slopes: Slopes | None = None) -> Linearisation:
     """``model`` linearised about ``path``, with a residual of size one, where it begins, too.
 
@@ -101,7 +94,7 @@ def filter_of(
     problem: DiagnosisProblem, model: ArmModel, path: Tensor, levels: np.ndarray, linear: Linearisation | None = None
 ) -> Filter:
     """The filter of ``model`` about ``path`` (T, D); ``linear`` is what :func:`linear_of` gives."""
-    problem.budget.spend(LINEARISED * (linear is None) + len(levels) * FILTERED, model, len(path))
+    problem.budget.spend(FIXED.linearise_cost * (linear is None) + len(levels) * FIXED.filter_cost, model, len(path))
     linear = linear or linear_of(problem, model, path)
     joints = model.body.num_joints
     scale = np.ones((len(levels), model.state_dim))
@@ -122,7 +115,7 @@ def products(
 ) -> Whitened:
     """What :func:`whiten` gives, and of many numbers the products alone: whitened for one size after the other."""
     count = len(about.sizes) * columns.d.shape[0] * columns.d.shape[1] * (1 + columns.d.shape[2])
-    if count <= LARGE:
+    if count <= FIXED.max_whitened:
         return whiten(problem, about, columns, groups)
     gram = np.concatenate([whiten(problem, about.at(g), columns, groups).gram for g in range(len(about.sizes))])
     none = replace(columns, g=columns.g[..., :0], d=columns.d[..., :0])
@@ -166,7 +159,7 @@ def _follows(problem: DiagnosisProblem, seen: np.ndarray) -> np.ndarray:
     Nothing where the torque is unknown: a limb's own may be smoother than its prior, and make errors alike by that.
     """
     apart = problem.model.dt[: len(seen)].numpy()
-    near = (apart < SKIPPED * np.median(apart)) & problem.regime.knows_torque
+    near = (apart < problem.rules.residual.max_interval_ratio * np.median(apart)) & problem.regime.knows_torque
     near[[0, *problem.starts]] = False
     return seen & np.roll(seen, 1, axis=0) & near[:, None]
 

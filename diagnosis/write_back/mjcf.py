@@ -18,6 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.changes import OF_LINK, ZERO, FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import ArticulatedBody
@@ -29,8 +30,6 @@ from invdyn.models.effects.inertias import inertia_of, point_of
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
 SERVO = "its actuator says gain and bias otherwise than by kp or kv alone; multiply both by that factor"
-SAMPLES = 2
-"""More than a delay has steps, that an actuator remembers."""
 POINT = "1e-9 1e-9 1e-9"
 """kg·m² of a payload, which is a point: MuJoCo wants some."""
 
@@ -136,7 +135,7 @@ class Writer:
             force = abs(change.after / gear[0])
             self.text.change(element, change.comment, forcelimited="true", forcerange=f"{_said(-force)} {_said(force)}")
         else:
-            samples = int(np.ceil(change.after / self.model.opt.timestep)) + SAMPLES
+            samples = int(np.ceil(change.after / self.model.opt.timestep)) + FIXED.extra_samples
             self.text.change(element, change.comment, delay=_said(change.after), nsample=str(samples))
         return None
 

@@ -1,7 +1,7 @@
 """A file's own simulation against a log: MuJoCo loads it, replays the commands, and what it is off by is counted.
 
-The engine is set to the recorded state every ``WINDOW`` seconds and left to run between. States are local cubics of the
-recorded angles, which know of no simulation; cross-validation says how long.
+The engine is set to the recorded state every `replay_window` seconds and left to run between. States are local cubics
+of the recorded angles, which know of no simulation; cross-validation says how long.
 A file that says a joint has a delay keeps its past across a window.
 
 Shapes: T rows, K joints.
@@ -15,18 +15,12 @@ import mujoco
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
 from invdyn.recordings import InputError, Recording
-
-WINDOW = 1.0
-"""s between the states that the engine is set to."""
-SPANS = (5, 7, 9, 13, 19, 27, 39, 55)
-"""Rows that a local cubic may span, from which a state is taken."""
-FEWEST = 13
-"""Rows with all angles under which nothing is replayed."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +87,7 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
     q, qd = states(time, signs * (angle - zeros))
     step = float(np.median(np.diff(time)))
     parts = max(1, int(np.ceil(step / model.opt.timestep - 1e-6)))
-    every = max(2, round(WINDOW / step))
+    every = max(2, round(FIXED.replay_window / step))
     off = np.full((len(time), len(hinges)), np.nan)
     windows, running = 0, False
     for row in range(len(time) - 1):
@@ -121,15 +115,15 @@ def states(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     A joint's local cubic spans as many rows as predict a row that is left out best.
     """
     use = np.isfinite(angle).all(1)
-    if use.sum() < FEWEST:
-        raise InputError(f"expected {FEWEST} rows with all angles or more, got {use.sum()}")
+    if use.sum() < FIXED.min_replay_rows:
+        raise InputError(f"expected {FIXED.min_replay_rows} rows with all angles or more, got {use.sum()}")
     seen = time[use]
     step = float(np.median(np.diff(seen)))
     even = seen[0] + step * np.arange(int((seen[-1] - seen[0]) / step + 1e-6) + 1)
     found: list[list[np.ndarray]] = [[], []]
     for joint in angle[use].T:
         rows = np.interp(even, seen, joint)
-        span = min((span for span in SPANS if span <= len(even)), key=partial(_left_out, rows))
+        span = min((span for span in FIXED.cubic_spans if span <= len(even)), key=partial(_left_out, rows))
         for order, columns in enumerate(found):
             smooth = savgol_filter(rows, span, 3, deriv=order, delta=step)
             columns.append(np.interp(time, even, smooth, np.nan, np.nan))

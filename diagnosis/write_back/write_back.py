@@ -11,6 +11,7 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
 from invdyn.diagnosis.problem.angles import recorded_angles
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back import toml, urdf
 from invdyn.diagnosis.write_back.changes import correction, in_files
 from invdyn.models import ArticulatedBody
@@ -100,7 +101,7 @@ def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, h
     """Rollout errors of both files, as the JSON has them; None of joints that MuJoCo counts otherwise (a ball)."""
     import mujoco
 
-    from invdyn.diagnosis.write_back.rollout import WINDOW, commands, rollout
+    from invdyn.diagnosis.write_back.rollout import commands, rollout
     from invdyn.models.bodies.joint_parts_mjcf import joint_names
 
     model = mujoco.MjModel.from_xml_path(source)
@@ -115,7 +116,7 @@ def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, h
         "engine": f"MuJoCo {mujoco.__version__}",
         "recording": recording.name,
         "held_out": held_out,
-        "window_s": WINDOW,
+        "window_s": FIXED.replay_window,
         "angle_rms_rad": {
             name: {"before": value, "after": after.angle_rms[name]} for name, value in before.angle_rms.items()
         },

@@ -40,8 +40,8 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     assert closed["by_effect"] == {"viscous_friction.pivot": alone}
     weigh = ROOM.weigh
 
-    def other(bound, found, seed, tolerance):
-        return ROOM.only(bound, found, found.pool[""], weigh(bound, found, seed, tolerance).log_evidence)
+    def other(bound, found, seed):
+        return ROOM.only(bound, found, found.pool[""], weigh(bound, found, seed).log_evidence)
 
     monkeypatch.setattr(ROOM, "weigh", other)
     named = diagnose(recording, PENDULUM).to_json()

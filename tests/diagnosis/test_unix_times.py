@@ -11,7 +11,7 @@ from pendulum import ARM, path_of
 from invdyn.diagnosis.assessment.findings import finding
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -45,7 +45,7 @@ def test_when_a_push_came_is_said_on_the_recordings_clock():
     for start in (0.0, UNIX):
         here, effect = pushed(start)
         values = {f"{effect.key}.{name}": value for name, value in TRUE.items()}
-        cause = refine(here, (effect,), values, path_of(here), FIRM)
+        cause = refine(here, (effect,), values, path_of(here), DEFAULT.residual.min_path_size)
         found[start] = finding(here, cause, effect, 0).parameters
     for name in ("start", "stop"):
         here, there = found[0.0][name], found[UNIX][name]

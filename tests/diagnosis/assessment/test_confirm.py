@@ -13,6 +13,7 @@ from invdyn.diagnosis.assessment.confirm import confirm, confirm_all, posterior,
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import best_size
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 
 
 def test_smc_evidence_of_a_linear_chain_is_exact():
@@ -43,12 +44,10 @@ def test_smc_agrees_with_the_linearised_evidence():
     ("clear", "temper", "hopeless", "filters"),
     [(np.inf, 1.0, np.inf, 8), (1e-3, 1.0, np.inf, 16), (1e-3, 1e-3, np.inf, 8), (1e-3, 1.0, 1e-3, 8)],
 )
-def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, hopeless, filters):
+def test_more_filters_run_where_few_are_not_clear(clear, temper, hopeless, filters):
     """All of them weigh together; evidence that is tempered need not be known so well, nor where SMC cannot say."""
     here, none, cause = causes()
-    module = sys.modules[confirm.__module__]
-    monkeypatch.setattr(module, "CLEAR", clear)
-    monkeypatch.setattr(module, "TOO_UNSURE", hopeless)
+    here = replace(here, rules=DEFAULT.replace(clear_se=clear, max_filter_se=hopeless))
     confirmed = confirm_all(here, [none, cause], 3, temper)[1]
     assert confirmed.result.log_evidence.shape == (filters,)
     assert confirmed.result.states.shape[1] == len(confirmed.values) == filters
@@ -58,9 +57,9 @@ def test_more_filters_run_where_few_are_not_clear(monkeypatch, clear, temper, ho
     assert confirmed.log_evidence == pytest.approx(float(found.logsumexp(0)) - np.log(filters) + other_sizes)
 
 
-def test_one_cause_alone_is_confirmed_once(monkeypatch):
+def test_one_cause_alone_is_confirmed_once():
     here, _, cause = causes()
-    monkeypatch.setattr(sys.modules[confirm.__module__], "CLEAR", 0.0)
+    here = replace(here, rules=DEFAULT.replace(clear_se=0.0))
     (alone,) = confirm_all(here, [cause], 3)
     assert alone.result.log_evidence.shape == (8,)
     assert confirm_all(here, [cause, cause], 3)[0].result.log_evidence.shape == (16,)
@@ -78,7 +77,7 @@ def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
         return own(problem, each, *rest)
 
     monkeypatch.setattr(module, "_filtered", dies)
-    monkeypatch.setattr(module, "CLEAR", 0.0)
+    here = replace(here, rules=DEFAULT.replace(clear_se=0.0))
     first, second = confirm_all(here, [cause, replace(cause)], 3)
     assert np.isfinite(first.log_evidence)
     assert second.log_evidence == -np.inf

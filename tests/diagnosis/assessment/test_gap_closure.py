@@ -16,7 +16,7 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -184,7 +184,7 @@ def test_each_of_two_closes_what_the_other_leaves():
     nothing, everything = there.scores
     gap = (everything.floor - nothing.score)[there.rows].sum()
     for effect, rest in ((FRICTION, SPRING), (SPRING, FRICTION)):
-        lesser = refine(here, (rest,), both.values, both.path, FIRM)
+        lesser = refine(here, (rest,), both.values, both.path, DEFAULT.residual.min_path_size)
         less = unseen(here, none, lesser).scores[1]
         share, (low, high) = shares[effect.key].share, shares[effect.key].interval
         assert share == pytest.approx(min((everything.score - less.score)[there.rows].sum() / gap, 1.0), abs=1e-6)
@@ -222,7 +222,7 @@ def test_what_was_refined_is_not_refined_again(monkeypatch):
     """And what nothing can follow without an effect, here or on held-out rows, says nothing of it."""
     here, none, both, found, _ = of_two()
     there, room = unseen(here, none, both), sys.modules[by_effect.__module__]
-    alone = refine(here, (FRICTION,), both.values, both.path, FIRM)
+    alone = refine(here, (FRICTION,), both.values, both.path, DEFAULT.residual.min_path_size)
     known = replace(found, pool=found.pool | {alone.key: alone})
     monkeypatch.setattr(room, "without", lambda *_: None)
     assert list(by_effect(here, known, both, there, None, 0)) == [SPRING.key]

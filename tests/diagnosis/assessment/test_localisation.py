@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from pendulum import ARM, LOOSE, causes, path_of, recording_of
 
-from invdyn.diagnosis.assessment.localisation import MOST_OF, intervals, joints_of, where
+from invdyn.diagnosis.assessment.localisation import intervals, joints_of, where
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 
 TIME = 0.01 * np.arange(400)
@@ -28,7 +29,7 @@ def test_intervals_hold_most_of_the_gap():
     assert abs(first.start - 2.0) <= 0.06
     assert abs(first.stop - 2.5) <= 0.06
     assert abs(second.start - 0.5) <= 0.2
-    assert MOST_OF - 0.05 < first.share + second.share <= 1.0
+    assert DEFAULT.outcome.interval_mass - 0.05 < first.share + second.share <= 1.0
     assert first.share == pytest.approx(1.0 / 1.6, abs=0.12)  # smoothing blunts the edges
 
 

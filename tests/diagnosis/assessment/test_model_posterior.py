@@ -11,7 +11,6 @@ from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.assessment.credible import credible
 from invdyn.diagnosis.assessment.model_posterior import _alone, only, weigh
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
@@ -23,7 +22,8 @@ from invdyn.diagnosis.prediction.innovation_tests import (
 )
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
-from invdyn.diagnosis.problem.unknowns import upper_bound
+from invdyn.diagnosis.problem.unknowns import bounds
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
@@ -56,6 +56,11 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     )  # but it is more than no gap
 
 
+def tolerating(bound, share):
+    """The problem under another tolerance."""
+    return replace(bound, rules=bound.rules.replace(tolerance=share))
+
+
 def test_a_torque_under_the_tolerance_is_not_left():
     """Of what a user tolerates nothing is left, however surely it is there; and more of what is over it is."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
@@ -67,8 +72,8 @@ def test_a_torque_under_the_tolerance_is_not_left():
     left = replace(cause, by_size=np.where(levels == levels[2], 0.0, -600.0))
     pool = HypothesisPool([], {"": needed, left.key: left}, [], none.path, False)
     assert _alone(bound, pool, left) == 0.0
-    assert _alone(bound, pool, left, 1.1 * levels[2]) > 0.99
-    assert _alone(bound, pool, left, 0.9 * levels[2]) == 0.0
+    assert _alone(tolerating(bound, 1.1 * levels[2]), pool, left) > 0.99
+    assert _alone(tolerating(bound, 0.9 * levels[2]), pool, left) == 0.0
 
 
 def test_what_is_not_credible_explains_a_part_only():
@@ -90,7 +95,7 @@ def test_what_is_not_credible_explains_a_part_only():
     rate, scale = stray.parameters(bound.model.scale)
     width = float(scale.prior.mean)
     assert share(stray, {"rate": 0.1, "scale": width}, searched=True) > 0.9
-    assert share(stray, {"rate": upper_bound(rate), "scale": width}, searched=True) == 0.0
+    assert share(stray, {"rate": bounds(rate)[1], "scale": width}, searched=True) == 0.0
 
 
 def test_where_errors_are_alike_from_row_to_row_something_is_left():
@@ -100,7 +105,7 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
     pool = HypothesisPool([], {"": none}, [], path, False)
-    assert correlation(prediction_errors(bound, wrong))[0] > max(RULE.alike, 0.5)
+    assert correlation(prediction_errors(bound, wrong))[0] > max(DEFAULT.residual.max_error_correlation, 0.5)
     assert _alone(bound, pool, wrong) == 0.0
     alike, chance = correlation(prediction_errors(bound, right))
     assert chance == pytest.approx(1 / np.sqrt(2 * 79))
@@ -120,9 +125,9 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
     def with_residual(nats):
         return replace(right, by_size=prior + np.where(first, 0.0, np.where(np.arange(len(first)) == 1, nats, -1000.0)))
 
-    assert _alone(bound, pool, with_residual(14.0), 0.001) > 0.9
-    assert _alone(bound, pool, with_residual(16.0), 0.001) == 0.0
-    assert _alone(bound, pool, with_residual(16.0), 0.01) > 0.9  # it is 2 thousandths of a typical torque
+    assert _alone(tolerating(bound, 0.001), pool, with_residual(14.0)) > 0.9
+    assert _alone(tolerating(bound, 0.001), pool, with_residual(16.0)) == 0.0
+    assert _alone(tolerating(bound, 0.01), pool, with_residual(16.0)) > 0.9  # it is 2 thousandths of a typical torque
 
 
 def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
@@ -130,7 +135,10 @@ def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     pool, module = HypothesisPool([], {"": none}, [], path, False), sys.modules[show_more.__module__]
-    for company, left in ((RULE.company, False), (RULE.company + RULE.chance * 0.1 + 0.01, True)):
+    for company, left in (
+        (DEFAULT.residual.max_shared_outliers, False),
+        (DEFAULT.residual.max_shared_outliers + DEFAULT.residual.error_margin * 0.1 + 0.01, True),
+    ):
         monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
         assert (_alone(bound, pool, right) == 0.0) is left
 
@@ -149,7 +157,7 @@ def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monk
         dragged = replace(dragged, by_size=dragged.by_size - np.where(spike, 1e4, 0.0))
     pool = HypothesisPool(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
     alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
-    monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause, ___: alone[cause.key])
+    monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause: alone[cause.key])
     weighed = weigh(bound, pool, 0)
     both = [weighed.causes[c.key][1] + weighed.in_part[c.key] for c in (damped, dragged)]
     evidence = [weighed.log_evidence[c.key] - c.log_evidence for c in (damped, dragged)]
@@ -167,8 +175,8 @@ def test_errors_larger_than_the_noise_at_rest_are_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     pool = HypothesisPool([], {"": none}, [], path, False)
     assert right.kappa == pytest.approx(1.0, abs=0.2)
-    assert _alone(bound, pool, replace(right, kappa=RULE.loud + 0.1)) == 0.0
-    assert _alone(bound, pool, replace(right, kappa=RULE.loud - 0.1)) > 0.9
+    assert _alone(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio + 0.1)) == 0.0
+    assert _alone(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio - 0.1)) > 0.9
 
 
 @pytest.mark.long
@@ -186,8 +194,10 @@ def test_where_errors_lie_along_the_motion_something_is_left():
     assert right.log_evidence > wrong.log_evidence
     assert credible(bound, wrong)
     alike, chance = correlation(prediction_errors(bound, wrong))
-    assert alike < RULE.alike + RULE.chance * chance  # no other rule speaks against it
-    assert wrong.kappa < RULE.loud
+    assert (
+        alike < DEFAULT.residual.max_error_correlation + DEFAULT.residual.error_margin * chance
+    )  # no other rule speaks against it
+    assert wrong.kappa < DEFAULT.residual.max_error_ratio
     assert _alone(bound, pool, wrong) == 0.0
     assert _alone(bound, pool, right) > 0.9
 
@@ -231,7 +241,7 @@ def test_stribeck_friction_that_is_less_at_rest_is_coulomb_friction(static, gain
     pool = HypothesisPool(considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
     module, silent = sys.modules[_alone.__module__], SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan)
     shares = {none.key: 0.0, dry.key: alone, curved.key: 0.0}
-    monkeypatch.setattr(module, "_alone", lambda _, __, cause, ___: shares[cause.key])
+    monkeypatch.setattr(module, "_alone", lambda _, __, cause: shares[cause.key])
     monkeypatch.setattr(module, "confirm_all", lambda _, causes, *__: [silent] * len(causes))
     weighed = weigh(bound, pool, 0)
     assert (weighed.causes[curved.key][1] + weighed.in_part[curved.key] == 0) is gives_way

@@ -8,12 +8,12 @@ from pendulum import LOOSE, MANY, PENDULUM, recorded
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.power import too_little
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import COMMANDED, log_prior
+from invdyn.diagnosis.problem.regime import COMMANDED
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -57,9 +57,9 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
     bound = diagnosis_problem(recorded(), PENDULUM)
     path, stray = data_path(bound)
     none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), COMMANDED.sizes
-    none = replace(none, by_size=log_prior(levels) - np.array(loss, dtype=float))
+    none = replace(none, by_size=bound.regime.log_prior - np.array(loss, dtype=float))
     found = HypothesisPool(considered(bound), {"": none}, [], path, stray)
-    assert RULE.out_of_question == 3.0
+    assert DEFAULT.evidence.ruled_out_gap == 3.0
     said = too_little(bound, found)
     if hidden is None:
         assert said is None

@@ -16,7 +16,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -87,7 +87,7 @@ def test_another_recording_has_its_own_swapped_labels(seed):
     path, stray = data_path(here)
     assert stray
     none = refine(here, (), {}, path, LOOSE)
-    cause = refine(here, (swap,), {"label_swap.elbow.wrist.rate": 0.06}, path, FIRM)
+    cause = refine(here, (swap,), {"label_swap.elbow.wrist.rate": 0.06}, path, DEFAULT.residual.min_path_size)
     there = unseen(here, none, cause, other)
     without, with_cause = there.scores
     assert not there.leaves

@@ -10,7 +10,7 @@ from robot_log import ARM, robot_log
 from servo_log import SERVO, SERVO_ARM, ZERO, write_servo_log
 
 from invdyn.diagnosis.check.check import check
-from invdyn.diagnosis.problem.mistakes import CLEAN, NEAR
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.inputs import read_logs
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import write_table
@@ -154,7 +154,7 @@ def test_columns_of_ranges_are_exchanged_as_the_log_has_them(tmp_path):
     )
     (wrong,) = checked(tmp_path, SERVO_ARM, lines, in_range).mistakes
     assert (wrong.kind, wrong.words) == ("exchanged", "the angles are exchanged")
-    assert wrong.after < CLEAN
+    assert wrong.after < DEFAULT.check.max_joint_misfit
 
 
 @pytest.mark.quick("0")
@@ -175,7 +175,7 @@ def test_a_log_whose_remedies_leave_too_much_is_unclear(monkeypatch):
     log = robot_log(3.0, camera=False).at(slice(None, None, 4))
     found = check(replace(log, torques=np.add(log.torques, [0, 0.6])), ARM, effects=False)
     assert not found.mistakes
-    assert found.unexplained < NEAR
+    assert found.unexplained < DEFAULT.check.max_right_misfit
     assert found.unclear
 
 
@@ -186,4 +186,4 @@ def test_what_is_missed_is_stated_in_terms_of_what_the_motion_asks(factor, least
     (wrong,) = check(replace(log, torques=log.torques / [factor, 1]), ARM, effects=False).mistakes
     assert (wrong.kind, wrong.joints) == ("scale", ("shoulder",))
     assert least < wrong.before < most
-    assert wrong.after < CLEAN
+    assert wrong.after < DEFAULT.check.max_joint_misfit

@@ -9,12 +9,12 @@ from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.hypotheses.add import add, refine_best
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.expected_gain import ERRS
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import SOFTENED, softer
+from invdyn.diagnosis.hypotheses.swap import softer
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
 
@@ -31,7 +31,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     monkeypatch.setattr(module, "idle", lambda _: none.log_evidence + 500.0)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
     add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
-    assert set(asked) == {-ERRS if left else 500}
+    assert set(asked) == {-DEFAULT.search.large_screen_error if left else 500}
 
 
 @pytest.mark.quick("0.05-*")
@@ -52,7 +52,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
         pool.add(found)
         return []
 
-    monkeypatch.setattr(module, "ERRS", large)
+    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=large))
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_best", refined)
     monkeypatch.setattr(module, "follow_neighbours", lambda *_: None)
@@ -192,5 +192,5 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
             expected = effect.softened().as_soft(ideal)
             assert values == {f"{effect.key}.{name}": value for name, value in expected.items()}
             assert list(expected) == [*ideal, *more]
-            assert size >= SOFTENED
+            assert size >= DEFAULT.search.min_variant_size
         assert (effect.key in found.pool) == (plausible or bool(more))

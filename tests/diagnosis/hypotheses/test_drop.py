@@ -13,7 +13,7 @@ from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 
 
@@ -91,7 +91,7 @@ def test_what_is_left_of_two_that_were_searched_is_searched_anew():
     both = replace(one, effects=(*one.effects, mistimed), noise=one.noise | {f"{mistimed.key}.rate": 0.5})
     both = replace(both, noise=both.noise | {f"{mistimed.key}.sd": 0.001})
     both = replace(both, noise_log=one.noise_log | {mistimed.key: -5.0})
-    left = without(bound, both, mistimed, FIRM)
+    left = without(bound, both, mistimed, DEFAULT.residual.min_path_size)
     assert left.key == outliers.key
     assert set(left.noise_sd) == set(left.noise) == set(one.noise)
     assert left.noise_log == {outliers.key: pytest.approx(one.noise_log[outliers.key], abs=0.5)}

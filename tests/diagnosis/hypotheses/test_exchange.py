@@ -13,8 +13,8 @@ from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
 
@@ -26,7 +26,10 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
     bound = bound.shaped(path)
     stribeck = EFFECTS["stribeck_friction"]("pivot")
     values = {f"{stribeck.bound(PENDULUM).key}.{k}": v for k, v in (("coulomb", 0.15), ("static", 0.15))}
-    none, other = refine(bound, (), {}, path, LOOSE), refine(bound, (stribeck,), values, path, FIRM)
+    none, other = (
+        refine(bound, (), {}, path, LOOSE),
+        refine(bound, (stribeck,), values, path, DEFAULT.residual.min_path_size),
+    )
     found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
     exchange(bound, found, found.ranked[0])
     assert found.ranked[0].key == "coulomb_friction.pivot"
@@ -40,7 +43,10 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     friction = EFFECTS["coulomb_friction"]("pivot")
-    none, cause = refine(bound, (), {}, path, LOOSE), refine(bound, (friction,), {"torque": 0.15}, path, FIRM)
+    none, cause = (
+        refine(bound, (), {}, path, LOOSE),
+        refine(bound, (friction,), {"torque": 0.15}, path, DEFAULT.residual.min_path_size),
+    )
     assert cause.complete
     common = unknowns(bound, ())
     free = [e for e in considered(bound) if not is_searched(e)]

@@ -8,10 +8,11 @@ import torch
 from pendulum import ARM, FEW, MANY, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.heavy_tails import DEGREES, heavy_tailed
+from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import MISTAKES
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 
 FRICTION = EFFECTS["viscous_friction"]("elbow")
@@ -41,7 +42,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     tailed, carried = heavy_tailed(here, found)
     assert tailed.model.observation.family == "multivariate_t"
     degrees = tailed.model.parameters["emission.df"]
-    assert degrees.item() in DEGREES
+    assert degrees.item() in DEFAULT.residual.tail_degrees
     best = carried.ranked[0]
     assert best.key == FRICTION.key
     assert best.complete

@@ -8,9 +8,9 @@ from pendulum import ARM, LOOSE, path_of
 
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours
+from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -30,7 +30,9 @@ def pushed():
 def refined_from(**values):
     here, none, effect = pushed()
     start = {"impulse_x": 0.0, "impulse_y": 0.0} | values
-    return refine(here, (effect,), {f"{effect.key}.{n}": v for n, v in start.items()}, none.path, FIRM)
+    return refine(
+        here, (effect,), {f"{effect.key}.{n}": v for n, v in start.items()}, none.path, DEFAULT.residual.min_path_size
+    )
 
 
 @cache
@@ -59,4 +61,4 @@ def test_a_push_is_moved_to_when_it_was(start):
 
 
 def test_where_it_is_right_it_stays():
-    assert moved(right()).log_evidence == pytest.approx(right().log_evidence, abs=ALIKE)
+    assert moved(right()).log_evidence == pytest.approx(right().log_evidence, abs=DEFAULT.search.equal_gain)

@@ -34,10 +34,11 @@ from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.cause import key_of
-from invdyn.diagnosis.problem.diagnosis_problem import BEGINNING, diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM, UNKNOWN_TORQUE
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.problem.regime import UNKNOWN_TORQUE
 from invdyn.diagnosis.problem.uncertain import uncertain_numbers
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
@@ -93,8 +94,10 @@ def test_nobody_knows_the_torque_before_a_recording():
     here = wheel(commanded=True)
     path = path_of(here)
     chains = [wheel_chain(here.with_residual(size)) for size in here.regime.sizes]
-    first = BEGINNING * here.model.scale.torque[0]
-    np.testing.assert_allclose([c.P[0, 0] for c in chains], first**2 * (1 + (here.regime.sizes / BEGINNING) ** 2))
+    first = DEFAULT.residual.initial_torque * here.model.scale.torque[0]
+    np.testing.assert_allclose(
+        [c.P[0, 0] for c in chains], first**2 * (1 + (here.regime.sizes / DEFAULT.residual.initial_torque) ** 2)
+    )
     none = Columns(np.zeros((59, 3, 0)), np.zeros((60, 1, 0)))
     whitened = whiten(here, filter_of(here, here.model, path, here.regime.sizes), none)
     found = -0.5 * whitened.gram[:, 0, 0] - whitened.log_det - 30 * np.log(2 * np.pi)
@@ -150,10 +153,16 @@ def test_a_path_is_led_through_what_sticks():
     """Where Gauss–Newton by itself ends in a path that nothing explains: from one of an arm that does not stick."""
     here, effect, values = rubbed(0.3, 1.0)
     model = here.model.with_effects(effect).replace(**values)
-    free = gauss_newton(here.with_residual(FIRM), here.observations, start=path_of(here), max_iterations=24).path
-    by_itself = gauss_newton(here.with_residual(FIRM, model), here.observations, start=free, max_iterations=24)
-    path = led(here, model, free, FIRM)
-    quiet = gauss_newton(here.with_residual(FIRM, model), here.observations, start=path, max_iterations=1)
+    free = gauss_newton(
+        here.with_residual(DEFAULT.residual.min_path_size), here.observations, start=path_of(here), max_iterations=24
+    ).path
+    by_itself = gauss_newton(
+        here.with_residual(DEFAULT.residual.min_path_size, model), here.observations, start=free, max_iterations=24
+    )
+    path = led(here, model, free, DEFAULT.residual.min_path_size)
+    quiet = gauss_newton(
+        here.with_residual(DEFAULT.residual.min_path_size, model), here.observations, start=path, max_iterations=1
+    )
     assert quiet.log_joint > by_itself.log_joint + 100
     assert 3 < (path[1:, -1].abs() < 1e-3).sum() < len(path) / 2
 
@@ -162,21 +171,23 @@ def test_a_path_is_kept_where_leading_it_would_do_worse(monkeypatch):
     """The better of both paths under the smaller residual; where nothing sticks, none is led."""
     here, effect, values = rubbed(0.3, 1.0)
     model = here.model.with_effects(effect).replace(**values)
-    right = led(here, model, path_of(here), FIRM)
-    quiet = here.with_residual(FIRM, model)
+    right = led(here, model, path_of(here), DEFAULT.residual.min_path_size)
+    quiet = here.with_residual(DEFAULT.residual.min_path_size, model)
     paths = sys.modules[led.__module__]
     monkeypatch.setattr(paths, "led", lambda *_: path_of(here))
-    kept = firmed(here, model, right, FIRM)
+    kept = firmed(here, model, right, DEFAULT.residual.min_path_size)
     assert quiet.log_joint(kept, here.observations) >= quiet.log_joint(right, here.observations) - 1e-6
     monkeypatch.setattr(paths, "led", lambda *_: right)
-    assert firmed(here, model, path_of(here), FIRM) is right  # Gauss–Newton by itself goes astray from there
+    assert (
+        firmed(here, model, path_of(here), DEFAULT.residual.min_path_size) is right
+    )  # Gauss–Newton by itself goes astray from there
 
     def never(*_):
         raise AssertionError
 
     monkeypatch.setattr(paths, "led", never)
-    smooth = firmed(here, here.model, path_of(here), FIRM)
-    assert here.with_residual(FIRM).log_joint(smooth, here.observations).isfinite()
+    smooth = firmed(here, here.model, path_of(here), DEFAULT.residual.min_path_size)
+    assert here.with_residual(DEFAULT.residual.min_path_size).log_joint(smooth, here.observations).isfinite()
 
 
 def test_a_limbs_torque_may_be_far_above_what_holds_it_up():
@@ -242,7 +253,7 @@ def stopped():
     values = {f"{stop.key}.{n}": v for n, v in {"angle": -1.2, "stiffness": 10.0, "damping": 0.3}.items()}
     real = arm.with_effects(stop).replace(**{f"effect.{k}": torch.tensor([v]).double() for k, v in values.items()})
     here = diagnosis_problem(record(real, 5)[0], PENDULUM)
-    return here, stop, values, refine(here, (stop,), values, path_of(here), FIRM)
+    return here, stop, values, refine(here, (stop,), values, path_of(here), DEFAULT.residual.min_path_size)
 
 
 LOST = pytest.mark.xfail(strict=True, reason="since the damper's onset is spread over a sub-step it ends at no stop")
@@ -254,7 +265,7 @@ def test_a_stop_is_found_from_beside_it(off):
     here, stop, values, right = stopped()
     angle = f"{stop.key}.angle"
     beside = {**values, angle: values[angle] + off, f"{stop.key}.stiffness": 20.0}
-    found = refine(here, (stop,), beside, path_of(here), FIRM)
+    found = refine(here, (stop,), beside, path_of(here), DEFAULT.residual.min_path_size)
     assert found.complete
     assert abs(found.log_evidence - right.log_evidence) < 5
     assert found.mean == pytest.approx(list(values.values()), rel=0.15)

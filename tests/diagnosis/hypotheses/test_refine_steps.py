@@ -10,10 +10,11 @@ from pendulum import ARM, DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, r
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.hypotheses.refine import SETTLED, SHORTER, STEPS, _distance, _promised, _within, refine
+from invdyn.diagnosis.hypotheses.refine import _distance, _promised, _within, refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import FIRM, Regime, log_prior
+from invdyn.diagnosis.problem.regime import Regime
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -34,17 +35,17 @@ def test_what_never_rests_is_worth_what_was_seen(monkeypatch):
 def test_of_rounds_that_are_as_good_the_last_one_counts(monkeypatch):
     """Expanded half a standard deviation off, or where it leads: the second, though it is worth .1 nats less."""
     here, _, cause = causes()
-    rounds = []
+    rounds, own = [], Regime.log_prior.fget
 
     def ever_less(regime):
         rounds.append(regime)
-        return log_prior(regime.sizes) - 0.2 * len(rounds)
+        return own(regime) - 0.2 * len(rounds)
 
     monkeypatch.setattr(Regime, "log_prior", property(ever_less))
     start = {cause.names[0]: float(cause.mean[0] + 0.5 * cause.sd[0])}
-    found = refine(here, cause.effects, start, cause.path, FIRM)
+    found = refine(here, cause.effects, start, cause.path, DEFAULT.residual.min_path_size)
     assert 1 < len(rounds) < 4
-    assert np.abs(found.mean - found.about) <= SETTLED * found.sd
+    assert np.abs(found.mean - found.about) <= DEFAULT.descent.settled_sds * found.sd
 
 
 def test_a_positive_parameter_is_halved_at_most():
@@ -116,7 +117,13 @@ def heavier():
     return (
         here,
         effect,
-        refine(here, (effect,), {f"{effect.key}.{n}": v for n, v in values.items()}, path_of(here), FIRM),
+        refine(
+            here,
+            (effect,),
+            {f"{effect.key}.{n}": v for n, v in values.items()},
+            path_of(here),
+            DEFAULT.residual.min_path_size,
+        ),
     )
 
 
@@ -125,7 +132,9 @@ def test_steps_that_are_short_in_each_parameter_go_on_where_they_are_long_togeth
     """Mass times distance is known well, neither of them is: beside that ridge a step of a hundredth matters."""
     here, effect, found = heavier()
     beside = found.mean + found.sd * [1.0, -1.0, 1.0]
-    again = refine(here, (effect,), dict(zip(found.names, beside, strict=True)), found.path, FIRM)
+    again = refine(
+        here, (effect,), dict(zip(found.names, beside, strict=True)), found.path, DEFAULT.residual.min_path_size
+    )
     assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
 
 
@@ -136,12 +145,12 @@ def test_where_no_step_was_a_gain_shorter_ones_are_tried(monkeypatch):
 
     def stuck(model, observations, path, steps, tolerance):
         tried.append(steps)
-        return path if steps == STEPS else plain(model, observations, path, steps, tolerance)
+        return path if steps == DEFAULT.descent.path_steps else plain(model, observations, path, steps, tolerance)
 
     monkeypatch.setattr(room, "gauss_newton_path", stuck)
     values = dict(zip(found.names, found.mean, strict=True))
-    again = refine(here, (effect,), values, path_of(here), FIRM)
-    assert tried[:2] == [STEPS, SHORTER]
+    again = refine(here, (effect,), values, path_of(here), DEFAULT.residual.min_path_size)
+    assert tried[:2] == [DEFAULT.descent.path_steps, DEFAULT.descent.max_short_steps]
     assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
 
 

@@ -7,11 +7,11 @@ import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.expected_gain import ERRS
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.period_equivalents import equivalents, factor
 from invdyn.simulate import random_arm, record
@@ -78,6 +78,6 @@ def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
         clock = next(e for e in candidates if e.name == "clock_rate")
         cause = refine(bound, (clock,), {f"{clock.key}.rate": 1.05}, path, LOOSE, rounds=1)
         found = HypothesisPool(candidates, {"": none, clock.key: cause}, [], path, stray)
-        assert cause.log_evidence > found.top - ERRS  # or nothing would be followed
+        assert cause.log_evidence > found.top - DEFAULT.search.large_screen_error  # or nothing would be followed
         follow_neighbours(bound, found, 1)
         assert set(found.pool) == {"", clock.key}

@@ -14,8 +14,9 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import FEW, _mistaken, _moves, _sought, search
+from invdyn.diagnosis.hypotheses.search import _mistaken, _moves, _sought, search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -287,6 +288,6 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
     monkeypatch.setattr(module, "screened_with", lambda *_: screened)
     monkeypatch.setattr(module, "refine_best", promising)
     _mistaken(bound, found)
-    assert asked == ([] if taken is None else [("", screened, FEW)])
+    assert asked == ([] if taken is None else [("", screened, DEFAULT.search.max_candidates_for_outliers)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])

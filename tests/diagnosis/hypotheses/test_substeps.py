@@ -8,8 +8,9 @@ from pendulum import ARM, LOOSE
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.substeps import MOST_TIMES, finely_stepped
+from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
@@ -31,7 +32,7 @@ def test_errors_of_integration_cost_no_evidence():
     """They would, dozens of nats, which an effect that is integrated in shorter steps would then have gained."""
     coarse = diagnosis_problem(seen(), ARM).in_substeps(1)
     fine = finely_stepped(coarse, data_path(coarse)[0])
-    assert 1 < fine.model.substeps <= MOST_TIMES
+    assert 1 < fine.model.substeps <= DEFAULT.search.max_step_factor
     assert coarse.model.substeps == 1
     exact = evidence(coarse.in_substeps(16))
     assert abs(evidence(fine) - exact) < 2.0

@@ -11,9 +11,10 @@ from pendulum import ARM, LOOSE, PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import ALIKE, follow_neighbours, instead
+from invdyn.diagnosis.hypotheses.swap import follow_neighbours, instead
 from invdyn.diagnosis.problem.cause import of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.neighbours import Neighbour
 from invdyn.simulate import random_arm
@@ -49,7 +50,7 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     assert len(started) == 2 * tried
     follow_neighbours(bound, pool, 1)
     assert len(started) == 2 * tried
-    pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * ALIKE)
+    pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * DEFAULT.search.equal_gain)
     follow_neighbours(bound, pool, 1)
     assert len(started) == 3 * tried
 
@@ -181,7 +182,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
     path, stray = data_path(bound)
     none, first = (refine(bound, effects, {}, path, LOOSE) for effects in ((), chain[:1]))
     found = HypothesisPool(chain, {c.key: c for c in (none, first)}, [], path, stray)
-    monkeypatch.setattr(SWAP, "ERRS", 1e6)
+    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=1e6))
     follow_neighbours(bound, found, 1)
     assert {effect.key for effect in chain} <= found.pool.keys()
 

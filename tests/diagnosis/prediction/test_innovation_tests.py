@@ -7,7 +7,6 @@ import pytest
 import torch
 from pendulum import ARM, PENDULUM, causes, recording_of
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.innovation_tests import (
@@ -19,6 +18,7 @@ from invdyn.diagnosis.prediction.innovation_tests import (
 )
 from invdyn.diagnosis.prediction.predict import seen_tips
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.inference.posterior.jitter import MEDIAN
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
@@ -102,7 +102,7 @@ def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
     here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
     cause = refine(here, (), {}, data_path(here)[0], here.regime.loose)
-    assert loudness(here, cause) == cause.kappa > RULE.loud
+    assert loudness(here, cause) == cause.kappa > DEFAULT.residual.max_error_ratio
     slope = {"effect.varying_noise.slope": torch.tensor([5.0]).double()}
     cause = replace(cause, effects=(growing,), model=cause.model.with_effects(growing).replace(**slope), kappa=4.0)
     # A median of n = 400 values, whose logarithm has a variance of 2 MEDIAN/n.

@@ -7,7 +7,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pendulum import ARM, PENDULUM
 
-from invdyn.diagnosis.problem.labels import FAR, relabelled
+from invdyn.diagnosis.problem.labels import relabelled
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
 
 LINKS = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=x, mass=1.0) for k, x in enumerate((0.3, 0.25, 0.2))]
@@ -46,7 +47,7 @@ def test_exchanged_labels_are_put_right(share, seed):
     off = (relabelled(model, wrong) != right).any(-1).numpy()
     elbow, wrist = wrong[:, :2], wrong[:, 2:]
     misfit = torch.stack([elbow.norm(dim=-1) - 0.3, (wrist - elbow).norm(dim=-1) - 0.25]).abs().amax(0)
-    assert (misfit[off] <= FAR * misfit.quantile(0.5)).all()
+    assert (misfit[off] <= FIXED.label_misfit_ratio * misfit.quantile(0.5)).all()
     if len(rows) < ROWS / 3:  # of more, the median is that of the worst of the right ones
         assert (misfit[off] < 20 * NOISE).all()
     assert not off[np.setdiff1d(np.arange(ROWS), rows)].any()

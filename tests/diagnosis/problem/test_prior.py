@@ -7,7 +7,6 @@ import pytest
 from pendulum import ARM, PENDULUM, recording_of
 from scipy.stats import multivariate_normal
 
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.prior import (
@@ -17,14 +16,16 @@ from invdyn.diagnosis.problem.prior import (
     of_number,
     tempered,
 )
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.evidence import learned
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
 def test_no_more_than_alpha_nats_count(gain):
-    assert gain * tempered(gain) <= RULE.alpha
-    assert gain * tempered(gain) == pytest.approx(gain, rel=gain / RULE.alpha)
-    assert tempered(-5.0) == 1.0
+    scale = DEFAULT.evidence.temper_scale
+    assert gain * tempered(gain, scale) <= scale
+    assert gain * tempered(gain, scale) == pytest.approx(gain, rel=gain / DEFAULT.evidence.temper_scale)
+    assert tempered(-5.0, 1000.0) == 1.0
 
 
 def test_another_effect_costs_what_its_number_does():
@@ -33,9 +34,9 @@ def test_another_effect_costs_what_its_number_does():
 
 
 def test_where_more_are_asked_for_each_is_a_quarter_as_likely():
-    assert [another(count, 6) for count in (3, 4, 5, 6)] == [0.25, 0.25, 0.25, 1.0]
-    assert [another(count, 2) for count in (1, 2)] == [pytest.approx(0.16), 1.0]
-    assert of_number(6) == pytest.approx(RULE.number[4] / 16)
+    assert [another(count, DEFAULT.replace(max_effects=6)) for count in (3, 4, 5, 6)] == [0.25, 0.25, 0.25, 1.0]
+    assert [another(count, DEFAULT.replace(max_effects=2)) for count in (1, 2)] == [pytest.approx(0.16), 1.0]
+    assert of_number(6) == pytest.approx(DEFAULT.evidence.effect_count_prior[4] / 16)
     candidates = considered(diagnosis_problem(recording_of(body=ARM, rows=30), ARM))
     five, six = (log_prior_of(candidates[:count], candidates) for count in (5, 6))
     names = len({e.name for e in candidates})
@@ -45,18 +46,20 @@ def test_where_more_are_asked_for_each_is_a_quarter_as_likely():
 @pytest.mark.parametrize("body", [PENDULUM, ARM])
 def test_prior_sums_to_that_of_the_number(body):
     candidates = considered(diagnosis_problem(recording_of(body=body, rows=30), body))
-    assert sum(RULE.number) == pytest.approx(1.0)
-    assert np.exp(log_prior_of((), candidates)) == pytest.approx(RULE.number[0])
+    assert sum(DEFAULT.evidence.effect_count_prior) == pytest.approx(1.0)
+    assert np.exp(log_prior_of((), candidates)) == pytest.approx(DEFAULT.evidence.effect_count_prior[0])
     single = np.array([np.exp(log_prior_of((e,), candidates)) for e in candidates])
-    assert single.sum() == pytest.approx(RULE.number[1])
+    assert single.sum() == pytest.approx(DEFAULT.evidence.effect_count_prior[1])
     # Acting at more joints makes an effect no likelier.
     total = Counter()
     for effect, p in zip(candidates, single, strict=True):
         total[effect.name] += p
-    np.testing.assert_allclose(list(total.values()), RULE.number[1] / len(total))
+    np.testing.assert_allclose(list(total.values()), DEFAULT.evidence.effect_count_prior[1] / len(total))
     pairs = sum(np.exp(log_prior_of((a, b), candidates)) for i, a in enumerate(candidates) for b in candidates[i + 1 :])
     # Of two drawn one after the other, less what would be the same twice.
-    assert pairs == pytest.approx(RULE.number[2] * (1 - ((single / RULE.number[1]) ** 2).sum()))
+    assert pairs == pytest.approx(
+        DEFAULT.evidence.effect_count_prior[2] * (1 - ((single / DEFAULT.evidence.effect_count_prior[1]) ** 2).sum())
+    )
 
 
 @pytest.mark.parametrize("temper", [1.0, 0.5, 0.1])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from pendulum import ARM
 
-from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, REGIMES, SPIKE, UNKNOWN_TORQUE, regime_of
+from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE, REGIMES, UNKNOWN_TORQUE, regime_of
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 
 TORQUES = np.array([[np.nan, np.nan], [0.1, np.nan]])
@@ -21,7 +22,7 @@ TORQUES = np.array([[np.nan, np.nan], [0.1, np.nan]])
     ],
 )
 def test_a_recordings_torques_say_which(torques, passive, regime):
-    assert regime_of(torques, passive) is regime
+    assert regime_of(torques, passive) == regime
     assert REGIMES[regime.name] is regime
 
 
@@ -30,7 +31,7 @@ def test_sizes_have_a_prior_of_which_a_spike_has_half(regime):
     weight = np.exp(regime.log_prior)
     assert weight.sum() == pytest.approx(1.0)
     assert np.all(np.diff(regime.sizes) > 0)
-    assert (regime.sizes[0] == SPIKE) == regime.knows_torque
+    assert (regime.sizes[0] == DEFAULT.residual.spike_size) == regime.knows_torque
     assert weight[0] == pytest.approx(0.5 if regime.knows_torque else 1 / len(weight))
 
 

@@ -8,7 +8,8 @@ from robot_log import ARM, robot_log
 from invdyn.diagnosis.problem import stretches as module
 from invdyn.diagnosis.problem import thinned
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.stretches import COARSEST, WINDOWS, stretches
+from invdyn.diagnosis.problem.stretches import stretches
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.recordings import Recording
 
 
@@ -29,42 +30,42 @@ def seconds_of(parts):
 
 def test_what_rows_show_well_is_one_stretch():
     log = resting_but([(0, 30)], seconds=30)
-    assert stretches(log, 2000) == [log]  # fewer rows
-    assert stretches(log, 900) == [log]  # 30 rows a second
+    assert stretches(log, DEFAULT.replace(max_rows=2000)) == [log]  # fewer rows
+    assert stretches(log, DEFAULT.replace(max_rows=900)) == [log]  # 30 rows a second
     slow = resting_but([(0, 1000)], seconds=1900, rate=1)
-    assert stretches(slow, 2000) == [slow]
+    assert stretches(slow, DEFAULT.replace(max_rows=2000)) == [slow]
 
 
 def test_where_the_arm_moves():
-    parts = stretches(resting_but([(100, 120), (300, 310)]), 500)
-    assert abs(seconds_of(parts) - 500 * COARSEST) < 1.5
+    parts = stretches(resting_but([(100, 120), (300, 310)]), DEFAULT.replace(max_rows=500))
+    assert abs(seconds_of(parts) - 500 * DEFAULT.recording.max_row_spacing) < 1.5
     inside = sum(
         np.clip(min(part.time[-1], end) - max(part.time[0], begin), 0, None)
         for part in parts
         for begin, end in ((100, 120), (300, 310))
     )
     assert inside > 0.9 * seconds_of(parts)
-    assert len(parts) < WINDOWS  # neighbours are one stretch
+    assert len(parts) < DEFAULT.recording.num_windows  # neighbours are one stretch
     assert all(one.time[-1] < other.time[0] for one, other in pairwise(parts))
 
 
 def test_they_tell_more_than_any_evenly_spread_ones():
     log = robot_log(60, camera=False)
     edges = np.arange(0, 60.1, 0.4)
-    information = module._information(log.time, log.angles, edges, COARSEST)
-    chosen = np.linalg.slogdet(information[module._telling(information)].sum(0))[1]
-    assert len(set(module._telling(information))) == WINDOWS
+    information = module._information(log.time, log.angles, edges, DEFAULT.recording.max_row_spacing, DEFAULT)
+    chosen = np.linalg.slogdet(information[module._telling(information, DEFAULT)].sum(0))[1]
+    assert len(set(module._telling(information, DEFAULT))) == DEFAULT.recording.num_windows
     for first in range(7):
-        assert chosen > np.linalg.slogdet(information[first::7][:WINDOWS].sum(0))[1]
+        assert chosen > np.linalg.slogdet(information[first::7][: DEFAULT.recording.num_windows].sum(0))[1]
 
 
-def test_a_problem_of_them_says_what_was_left_out(monkeypatch):
-    monkeypatch.setattr(thinned, "ROWS", 200)
+def test_a_problem_of_them_says_what_was_left_out():
+    rules = DEFAULT.replace(max_rows=200)
     log = robot_log(40, camera=False)
-    problem = diagnosis_problem(log, ARM)
+    problem = diagnosis_problem(log, ARM, rules=rules)
     assert 150 < len(problem.observations) <= 200
-    parts = thinned.looked_at(log)
+    parts = thinned.looked_at(log, rules)
     assert len(problem.starts) == len(parts) - 1 > 0
-    told = thinned.left_out([log])
+    told = thinned.left_out([log], rules)
     assert told.startswith(f"Of 20000 rows with an observation {len(problem.observations)} were looked at")
     assert f"of its 40 s the {seconds_of(parts):.4g} s that tell most were looked at" in told

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 from robot_log import robot_log
 
-from invdyn.diagnosis.problem.thinned import ROWS, left_out, thinned
+from invdyn.diagnosis.problem.thinned import left_out, thinned
+from invdyn.diagnosis.rules import DEFAULT
+
+ROWS = DEFAULT.recording.max_rows
 
 
 def test_a_short_recording_is_itself():
@@ -38,8 +41,10 @@ def test_what_is_left_out_is_told():
     keypoints, time = np.tile(long.keypoints, (3, 1, 1)), np.arange(3000) / 500
     long = replace(long, time=time, keypoints=keypoints, angles=angles, torques=torques)
     assert left_out([short]) is None
-    assert left_out([short, long]).startswith(f"Of 3250 rows with an observation {250 + rows(thinned(long))} were")
-    assert rows(thinned(long)) <= ROWS
+    assert left_out([short, long]).startswith(
+        f"Of 3250 rows with an observation {250 + rows(thinned(long, ROWS))} were"
+    )
+    assert rows(thinned(long, ROWS)) <= ROWS
 
 
 def rows(log):

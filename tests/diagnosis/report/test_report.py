@@ -10,13 +10,12 @@ import pytest
 from reported import HOSTILE, KINDS, Page, diagnosis, hostile, none, seen, tracks, two
 
 from invdyn.diagnosis.assessment.result import Interval, Visibility
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.report import render, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.figures import residuals
 from invdyn.diagnosis.report.numbers import handy
-from invdyn.diagnosis.report.replay import FRAMES
 from invdyn.diagnosis.report.report import _visible
+from invdyn.diagnosis.rules import DEFAULT, FIXED
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -42,8 +41,8 @@ def test_replay_data_are_the_tracks(rows):
     d = diagnosis(tracks=tracks(rows=rows, missing=rows > 1))
     data = json.loads(Page(text := render(d)).scripts["replay-data"])
     assert 'id="replay-corrected"' in text
-    stride = -(-rows // FRAMES)
-    assert len(data["time"]) == -(-rows // stride) <= FRAMES
+    stride = -(-rows // FIXED.max_replay_frames)
+    assert len(data["time"]) == -(-rows // stride) <= FIXED.max_replay_frames
     for name, replay in (("nominal", d.tracks.nominal_replay), ("corrected", d.tracks.corrected_replay)):
         shown, truth = np.array(data[name], float) - data["base"], replay[::stride]
         scale = np.linalg.norm(shown[0, 0]) / np.linalg.norm(truth[0, 0])
@@ -94,9 +93,9 @@ def test_lines_break_where_nothing_is_known_and_keep_their_spikes():
 
 def test_what_cannot_be_seen_is_by_one_measure():
     """What `not_identifiable` counts as hidden is not said to show faintly."""
-    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * RULE.faint),))
+    found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * DEFAULT.evidence.min_dprime),))
     text = render(found)
-    assert f"Under {RULE.faint:.1f} the change cannot be seen" in text
+    assert f"Under {DEFAULT.evidence.min_dprime:.1f} the change cannot be seen" in text
     assert _visible(found)["faintly"] == []
     assert len(_visible(found)["no"]) == 1
 

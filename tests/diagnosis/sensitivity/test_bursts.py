@@ -9,13 +9,13 @@ from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import SLAB, SPIKE
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.bursts import burst_products
-from invdyn.diagnosis.sensitivity.sensitivities import WINDOW, Columns, spans
+from invdyn.diagnosis.sensitivity.sensitivities import Columns, spans
 from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 from invdyn.recordings import Recording
 
-LEVELS = np.array([SPIKE, SLAB[0], SLAB[2]])
+LEVELS = np.array([DEFAULT.residual.spike_size, DEFAULT.residual.slab_sizes[0], DEFAULT.residual.slab_sizes[2]])
 
 
 def columns_of(model, response, stretches):
@@ -73,7 +73,7 @@ def test_stretches_share_out_the_time():
     stretches = spans(model)
     columns = columns_of(model, np.ones((model.num_steps - 1, model.state_dim, 1)), stretches)
     time, starts = model.time.numpy(), [start for start, _ in stretches]
-    np.testing.assert_allclose(np.diff(starts), WINDOW / 2)
+    np.testing.assert_allclose(np.diff(starts), DEFAULT.screening.burst_window / 2)
     share = columns.g[:, 0]  # (T−1, W)
     lengths = np.array([stop - start for start, stop in stretches])
     np.testing.assert_allclose((share * np.diff(time)[:, None]).sum(0), lengths, atol=1e-9)

@@ -8,6 +8,7 @@ from pendulum import ARM
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
@@ -50,17 +51,17 @@ def test_what_the_hinge_does_to_the_arm_is_the_models_to_first_order(bent):
     assert ((following - after).abs().amax(1) <= 0.1 * (after - rest).abs().amax(1) + 1e-12).all()
 
 
-def test_slopes_of_some_rows_do_for_all(bent, monkeypatch):
+def test_slopes_of_some_rows_do_for_all(bent):
     """Within a twentieth of the largest deflection and of the largest change; of uneven rows all are asked."""
     model, path = bent
     module = sys.modules[latent_response.__module__]
     paths, following = latent_response(model, path, 3)
-    assert len(module._some(model, paths[0])) < len(path) / 2
+    assert len(module._some(model, paths[0], DEFAULT.screening.slope_turn)) < len(path) / 2
     uneven = ArmModel(ARM, model.time + 0.002 * (torch.arange(len(path)) > 70))
-    assert len(module._some(uneven, path)) == len(path) - 1
-    monkeypatch.setattr(module, "TURN", 1e-9)
-    assert len(module._some(model, paths[0])) == len(path) - 1
-    exactly, next_exactly = latent_response(model, path, 3)
+    assert len(module._some(uneven, path, DEFAULT.screening.slope_turn)) == len(path) - 1
+    every = DEFAULT.replace(slope_turn=1e-9)
+    assert len(module._some(model, paths[0], 1e-9)) == len(path) - 1
+    exactly, next_exactly = latent_response(model, path, 3, every)
     hinge = slice(2, 4)
     off = (paths - exactly).abs().amax(1)[:, hinge]
     assert (off <= 0.05 * exactly[..., hinge].abs().amax(1)).all()

@@ -11,7 +11,6 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from invdyn.diagnosis.assessment.model_posterior import _alone
-from invdyn.diagnosis.decision import RULE
 from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -19,7 +18,8 @@ from invdyn.diagnosis.prediction.innovation_tests import correlation, prediction
 from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import Unknowns
-from invdyn.diagnosis.sensitivity.memory import MOST, expansions, forgotten
+from invdyn.diagnosis.rules import DEFAULT
+from invdyn.diagnosis.sensitivity.memory import expansions, forgotten
 from invdyn.diagnosis.sensitivity.whiten import Whitened
 
 ROWS, WIDTH, SLOPES = 100, 2, 2
@@ -86,7 +86,10 @@ def test_evidence_is_that_of_a_spike_and_a_slab(memory, lost):
     (found,) = expansions(given, among(), np.zeros(SLOPES))
     white = brute_force(given, 0.0)
     top = brute_force(given, max(found.memory, 0.01))
-    slab = quad(lambda m: np.exp(brute_force(given, m) - top), 0.0, MOST, epsrel=1e-3)[0] / MOST
+    slab = (
+        quad(lambda m: np.exp(brute_force(given, m) - top), 0.0, DEFAULT.residual.max_memory, epsrel=1e-3)[0]
+        / DEFAULT.residual.max_memory
+    )
     exact = np.logaddexp(white, top + np.log(slab)) + np.log(0.5)
     assert found.log_evidence == pytest.approx(exact, abs=0.3)
     assert found.log_evidence - found.gain == pytest.approx(white, abs=0.05)
@@ -140,7 +143,7 @@ def test_a_tracker_that_trails_is_no_gap():
 
 @pytest.mark.long
 def test_errors_that_remember_much_are_something_else():
-    here = diagnosis_problem(trailing(RULE.alike + 0.25), PENDULUM)
+    here = diagnosis_problem(trailing(DEFAULT.residual.max_error_correlation + 0.25), PENDULUM)
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))
     pool = HypothesisPool([], {"": none}, [], path, False)

@@ -13,10 +13,9 @@ from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.regime import FIRM
 from invdyn.diagnosis.problem.unknowns import prior_sd, unknowns
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.screen import _cost, _halved, screen, screen_in_halves, windows
-from invdyn.diagnosis.sensitivity.sensitivities import WINDOW
 from invdyn.diagnosis.sensitivity.whiten import linear_of
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
@@ -70,7 +69,7 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
     effects = [e for e in considered(bound) if not is_searched(e)]
     along, own = (
         screen(bound, bound.model, each, effects, common, common.mean)
-        for each in (path, led(bound, bound.model, path, FIRM))
+        for each in (path, led(bound, bound.model, path, DEFAULT.residual.min_path_size))
     )
     aside = _aside(along, own)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
@@ -92,8 +91,8 @@ def test_a_push_is_also_looked_for_at_another_time():
     effects = [push, EFFECTS["viscous_friction"]("pivot").bound(PENDULUM)]
     screened = {s.effect.name: s for s in screen(here, here.model, path, effects, common, common.mean) if s.effect}
     found = screened["external_push"]
-    assert abs(found.values["moment"] - 0.75) < WINDOW
-    assert abs(found.elsewhere["moment"] - found.values["moment"]) > WINDOW
+    assert abs(found.values["moment"] - 0.75) < DEFAULT.screening.burst_window
+    assert abs(found.elsewhere["moment"] - found.values["moment"]) > DEFAULT.screening.burst_window
     assert set(found.elsewhere) == set(found.values)
     assert screened["viscous_friction"].elsewhere is None
 
@@ -109,7 +108,7 @@ def test_a_push_that_is_soon_over_is_looked_for_in_a_stretch_as_short(strength):
     here = diagnosis_problem(record(arm.with_effects(push).replace(**given), 0)[0], PENDULUM)
     path = data_path(here)[0]
     found = windows(here, here.model, path, linear_of(here, here.model, path))
-    short = [(start, stop) for start, stop in found if stop - start < WINDOW / 2]
+    short = [(start, stop) for start, stop in found if stop - start < DEFAULT.screening.burst_window / 2]
     assert any(start < 0.78 < stop for start, stop in short) is (strength > 0)
     assert bool(short) is (strength > 0)
     assert len(found) > len(short)

@@ -1,5 +1,6 @@
 """Columns and unknowns of every effect: differences of the model itself, in each regime."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,10 +14,11 @@ from scipy.stats import t as student_t
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_noise
-from invdyn.diagnosis.problem.unknowns import FARTHER, centre, lower_bound, prior_sd, unknowns, upper_bound
+from invdyn.diagnosis.problem.unknowns import bounds, centre, prior_sd, unknowns
+from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.diagnosis.sensitivity import sensitivities as candidates
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
-from invdyn.diagnosis.sensitivity.sensitivities import STEP, hypotheses, slopes, spacing, unchanged
+from invdyn.diagnosis.sensitivity.sensitivities import hypotheses, slopes, spacing, unchanged
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
@@ -138,7 +140,11 @@ def test_columns_are_differences_of_the_model(name):
                 np.testing.assert_allclose(got[..., hypothesis.offset], here - without, atol=1e-12)
         for free, column in zip(hypothesis.free, hypothesis.columns, strict=True):
             p = parameters[free]
-            step = STEP * prior_sd(p) if hypothesis.offset is None else 0.1 * spacing(p, point[free])
+            step = (
+                DEFAULT.screening.secant_step * prior_sd(p)
+                if hypothesis.offset is None
+                else 0.1 * spacing(p, point[free])
+            )
             moved = means(having(model, effect, point | {free: point[free] + step}), path)
             for got, there, here in zip((columns.g, columns.d), moved, base, strict=True):
                 expected = (there - here) / step
@@ -150,7 +156,7 @@ def test_many_parameter_sets_are_taken_in_turns(key, monkeypatch):
     here, path, (effect,) = bound(), followed(), chosen(key)
     plain = unchanged(here.model, path)
     _, whole = hypotheses(here.model, effect, path, plain)
-    monkeypatch.setattr(candidates, "MANY", 7)
+    monkeypatch.setattr(candidates, "FIXED", replace(FIXED, max_parameter_sets=7))
     assert whole.g.shape[-1] > 3 * 7
     _, parts = hypotheses(here.model, effect, path, plain)
     np.testing.assert_array_equal(parts.g, whole.g)
@@ -217,7 +223,7 @@ def test_names_bounds_and_gaussians():
     # What only changes the scatter has no columns, and is not among them.
     effects = ("viscous_friction.elbow.damping", "camera_roll.angle")
     assert among.names == (*effects, "body.length.0", "body.mass.0", "body.length.1", "body.mass.1")
-    np.testing.assert_allclose(among.lower[:2], [0.0, -FARTHER["StudentT"] * among.sd[1]])
+    np.testing.assert_allclose(among.lower[:2], [0.0, -DEFAULT.residual.max_prior_sds_heavy * among.sd[1]])
     np.testing.assert_allclose(among.mean[2:], [0.3, 1.5, 0.25, 1.0], rtol=1e-6)
     np.testing.assert_allclose(among.sd[2:], [0.003, 0.075, 0.0025, 0.05], rtol=1e-6)
     assert not unknowns(bound(), []).names
@@ -233,11 +239,14 @@ def test_log_prior_is_that_of_half_normals_and_normals():
 
 def test_the_gaussian_of_a_prior():
     damping, *_ = chosen("viscous_friction.elbow")[0].parameters(bound().model.scale)
-    assert (centre(damping), lower_bound(damping)) == (0.0, 0.0)
-    assert upper_bound(damping) == FARTHER["HalfNormal"] * prior_sd(damping)
+    assert (centre(damping), bounds(damping)[0]) == (0.0, 0.0)
+    assert bounds(damping)[1] == DEFAULT.residual.max_prior_sds_one_sided * prior_sd(damping)
     assert prior_sd(damping) == pytest.approx(float(damping.prior.scale))
     rate, scale = chosen("outliers")[0].parameters(bound().model.scale)
-    assert (lower_bound(rate), upper_bound(rate)) == (0.0, min(1.0, centre(rate) + FARTHER["Beta"] * prior_sd(rate)))
+    assert (bounds(rate)[0], bounds(rate)[1]) == (
+        0.0,
+        min(1.0, centre(rate) + DEFAULT.residual.max_prior_sds_one_sided * prior_sd(rate)),
+    )
     assert isinstance(scale.prior, LogNormal)
     assert prior_sd(scale) == pytest.approx(float(scale.prior.stddev))
 
@@ -249,14 +258,14 @@ def test_of_what_may_be_any_size_much_is_plausible():
         for key in ("camera_roll", "camera_yaw", "backlash.elbow", "varying_noise")
     )
     assert student_t.cdf(np.deg2rad(3.0), 3, scale=float(roll.prior.scale)) > 0.95
-    assert upper_bound(roll) > np.deg2rad(15)
-    assert np.deg2rad(60) < upper_bound(yaw) < np.pi / 2
-    assert lower_bound(yaw) == -upper_bound(yaw)
+    assert bounds(roll)[1] > np.deg2rad(15)
+    assert np.deg2rad(60) < bounds(yaw)[1] < np.pi / 2
+    assert bounds(yaw)[0] == -bounds(yaw)[1]
     for each, size, cost in ((roll, 0.21, 8.0), (yaw, 0.98, 10.0), (play, 0.25, 4.5)):
         lost = each.prior.log_prob(torch.tensor(1e-6)) - each.prior.log_prob(torch.tensor(size))
         assert 1.0 < float(lost) < cost
-    assert (lower_bound(play), lower_bound(blur)) == (0.0, 0.0)
-    assert upper_bound(play) == pytest.approx(0.3)
+    assert (bounds(play)[0], bounds(blur)[0]) == (0.0, 0.0)
+    assert bounds(play)[1] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("key", ["inertial_error.upper_arm", "actuator_gain.elbow"])
@@ -267,8 +276,8 @@ def test_a_file_may_be_wrong_by_more_than_a_factor_of_two(key):
         if each.name == "com":
             continue
         whole = each.least / -0.8
-        assert lower_bound(each) == each.least < 0
-        assert upper_bound(each) > 2 * whole
+        assert bounds(each)[0] == each.least < 0
+        assert bounds(each)[1] > 2 * whole
         lost = each.prior.log_prob(torch.tensor(0.0)) - each.prior.log_prob(torch.tensor(whole))
         assert 4.0 < float(lost) < 6.0  # of a Gaussian of .2 it would be 12.5
 

@@ -1,6 +1,7 @@
 """Products of whitened columns, all of them or those that are wanted."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 from pendulum import ARM, recording_of
@@ -8,6 +9,7 @@ from pendulum import ARM, recording_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, products, whiten
 
@@ -53,7 +55,7 @@ def test_products_of_many_numbers_are_those_of_all_sizes_at_once(monkeypatch):
     groups = [slice(1, 3), slice(3, 5)]
     whole = products(here, about, columns, groups)
     assert whole.columns.shape[-1] == 6
-    monkeypatch.setattr(sys.modules[products.__module__], "LARGE", 0)
+    monkeypatch.setattr(sys.modules[products.__module__], "FIXED", replace(FIXED, max_whitened=0))
     one_by_one = products(here, about, columns, groups)
     np.testing.assert_allclose(one_by_one.gram, whole.gram, rtol=1e-9, atol=1e-9 * np.abs(whole.gram).max())
     np.testing.assert_array_equal(one_by_one.log_det, whole.log_det)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import cumulative_trapezoid
 
-from invdyn.diagnosis.problem.unknowns import lower_bound, upper_bound
+from invdyn.diagnosis.problem.unknowns import bounds
 from invdyn.models import ArmModel
 from invdyn.models.effects import (
     ActuatorDeadzone,
@@ -228,6 +228,6 @@ def test_a_gear_that_was_left_out_is_a_form_of_gain_everywhere(arm):
     ]
     assert [effect.place for effect in found] == [(), (0,), (1,)]
     (gain,) = found[1].parameters(arm(2).scale)
-    assert (lower_bound(gain), upper_bound(gain)) == (1.0, 120.0)
+    assert (bounds(gain)[0], bounds(gain)[1]) == (1.0, 120.0)
     with pytest.raises(ValueError, match="expected 1 name"):
         ActuatorLag("joint0", "joint1")

@@ -6,7 +6,7 @@ import torch
 from rod import F64, INERTIA, driven, rod, rolled, torque_of
 from scipy.integrate import solve_ivp
 
-from invdyn.diagnosis.problem.unknowns import FAR
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
 from invdyn.models.effects import (
     EFFECTS,
@@ -176,7 +176,7 @@ def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
     priors = {p.name: p.prior for p in JointLimit("hinge").softened().bound(body).parameters(model.scale)}
     for name, value in STOP.items():
         value *= inertia / INERTIA if name != "softness" else 1.0
-        assert value < FAR / 2 * priors[name].scale
+        assert value < DEFAULT.residual.max_prior_sds / 2 * priors[name].scale
 
 
 def test_a_ripple_that_is_no_pure_sine(having):

@@ -1,0 +1,380 @@
+"""All numbers of a diagnosis that were chosen, each with value, unit, meaning and source.
+
+:class:`Rules` is an immutable tree of groups, and an argument: `diagnose(…, rules=Rules().replace(tolerance=0.2))`. A
+problem, a pool and a motion carry it. :data:`FIXED` has what no run changes: how noise is measured, what work costs,
+guards of floating-point arithmetic, sizes of pictures. docs/numbers.md lists both, with the files in which each acts.
+
+A source is one of six. *odds*: an argument about probabilities. *chance*: the level of a one-sided test under a right
+simulation. *measured*: on opened runs of the blind check or recordings, as said. *stated*: the meaning of a word, so
+that a user may want another value. *chosen*: by hand, then tested by the blind check. *effort*: how hard to look; with
+more of it, an answer should not change.
+"""
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+COLUMNS = ("unit", "meaning", "source")
+
+
+def number(value: Any, unit: str, meaning: str, source: str) -> Any:
+    """A field with its value, and what a reader must know of it."""
+    return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source})
+
+
+@dataclass(frozen=True)
+class EvidenceRules:
+    """Priors of causes, and how evidence becomes an answer."""
+
+    effect_count_prior: tuple[float, ...] = number(
+        (0.4, 0.5, 0.08, 0.016, 0.004), "1", "P(n effects), n = 0, 1, …; a quarter for each further one", "odds"
+    )
+    temper_scale: float = number(1000.0, "nats", "largest evidence that counts between causes", "chosen")
+    temper_scale_within: float = number(
+        8000.0, "nats", "the same for intervals of parameters", "measured: 740 intervals, .90 cover the truth"
+    )
+    tolerance: float = number(0.005, "typical torque", "torques below it do not matter (--tolerance)", "stated")
+    engine_error_step: float = number(0.002, "s", "first-order step whose error does not matter", "MuJoCo's default")
+    worst_window: float = number(1.0, "s", "a torque is averaged over so long, then compared", "stated")
+    detectable_torque: float = number(0.2, "typical torque", 'the answer "no gap" must rule it out', "stated")
+    ruled_out_gap: float = number(3.0, "nats", "by which a less likely torque is ruled out", "odds: 20 to 1")
+    credible_mass: float = number(0.95, "1", "probability of an ambiguity set", "stated")
+    min_probability: float = number(1e-4, "1", "less probable causes are neither tested nor listed", "effort")
+    min_dprime: float = number(
+        3.0, "d′", "smaller changes by an effect of typical size cannot be seen", "chance: .0013"
+    )
+    clear_dprime: float = number(5.0, "d′", "larger ones are plain", "stated")
+    confirm_within: float = number(3.0, "nats", "SMC confirms causes so close to the best", "odds: e³")
+    max_confirmed: int = number(2, "causes", "SMC confirms at most", "effort: seconds each")
+    max_smc_se: float = number(0.7, "nats", "larger standard errors leave the linearised evidence in place", "odds: 2")
+    clear_se: float = number(0.2, "nats", "tempered standard error with which SMC needs no second run", "effort")
+    max_filter_se: float = number(0.9, "nats", "larger ones come from a single filter, and count for nothing", "chosen")
+
+
+@dataclass(frozen=True)
+class ResidualRules:
+    """The residual torque and the observations' errors: their priors, and when they show that something is left."""
+
+    spike_size: float = number(1e-4, "typical torque", "size of the residual that counts as none", "chosen")
+    slab_sizes: tuple[float, ...] = number(
+        tuple(np.geomspace(2e-3, 1.0, 6).tolist()), "typical torque", "sizes of the residual, if there is one", "chosen"
+    )
+    limb_sizes: tuple[float, ...] = number(
+        tuple(np.geomspace(0.03, 30.0, 15).tolist()), "typical torque", "sizes of a limb's own torque", "chosen"
+    )
+    min_path_size: float = number(1e-3, "typical torque", "smallest residual under which a path is found", "effort")
+    residual_decay: float = number(20.0, "1/s", "of the residual: friction changes several times a swing", "chosen")
+    limb_decay: float = number(4.0, "1/s", "of a limb's own torque", "chosen")
+    data_path_size: float = number(0.3, "typical torque", "residual of the data's path, torques known", "chosen")
+    limb_path_size: float = number(3.0, "typical torque", "the same, torques unknown", "chosen")
+    dynamics_noise: float = number(0.3, "of inference's", "noise of the dynamics: what it follows is no gap", "chosen")
+    initial_torque: float = number(0.3, "typical torque", "left by commands before the first row", "chosen")
+    min_joint_size: float = number(0.1, "of the largest", "smallest residual of another joint", "chosen")
+    max_share_left: float = number(
+        0.1, "1", "of the torque that is missing without a cause, so much may stay", "stated"
+    )
+    min_residual_gain: float = number(
+        5.0, "nats", "a residual gains by chance, besides share² of the gap's", "odds: e⁵"
+    )
+    max_error_ratio: float = number(1.5, "noise", "larger errors of prediction show that something is left", "stated")
+    max_error_correlation: float = number(0.3, "1", "the same for errors of neighbouring rows", "stated")
+    max_shared_outliers: float = number(0.25, "1", "the same for outliers of several keypoints in one row", "chosen")
+    max_excess_along: float = number(0.05, "1", "the same for errors along the motion, beyond a half", "chosen")
+    error_margin: float = number(2.0, "sd", "by which each of these three may exceed its limit", "chance: .023")
+    limb_margin: float = number(3.0, "1", "times its likeliest size, a limb's torque when errors are tested", "stated")
+    max_memory: float = number(0.6, "1", "largest correlation of a tracker's errors from row to row", "chosen")
+    min_memory_gain: float = number(1.0, "nats", "that a memory must be able to gain to be integrated", "effort")
+    max_interval_ratio: float = number(1.5, "intervals", "rows further apart share no memory", "chosen")
+    tail_degrees: tuple[float, ...] = number((4.0, 8.0, 16.0), "1", "degrees of freedom of heavy tails", "chosen")
+    max_prior_sds: float = number(4.0, "sd", "parameters stay so close to their priors' centres", "chosen")
+    max_prior_sds_one_sided: float = number(8.0, "sd", "the same for HalfNormal and Beta priors", "chosen")
+    max_prior_sds_heavy: float = number(10.0, "sd", "the same for StudentT priors", "chosen")
+    edge_margin: float = number(1e-3, "1", "share of an upper edge that parameters stay below it", "chosen")
+
+
+@dataclass(frozen=True)
+class RecordingRules:
+    """Which rows of a recording are used."""
+
+    min_rows: int = number(20, "rows", "with an observation; fewer are not enough data", "stated")
+    max_rows: int = number(2000, "rows", "with an observation, of one recording", "effort")
+    max_row_spacing: float = number(0.04, "s", "between rows that are used: 25 a second", "chosen")
+    num_windows: int = number(20, "windows", "chosen from a long recording", "chosen")
+    window_prior: float = number(1e-3, "1", "of the windows' mean information, known before the first", "chosen")
+    max_torque_ratio: float = number(
+        100.0, "1", "times the torque that the motion needs; more is another unit", "measured: 1.5 of 40, stalled 50"
+    )
+    motion_share: float = number(0.5, "1", "of the largest velocity, that counts as the motion's rms", "chosen")
+    path_outlier_sds: float = number(5.0, "sd", "a detection further from the first path is an outlier", "chosen")
+
+
+@dataclass(frozen=True)
+class ScreeningRules:
+    """Columns of candidates along one path."""
+
+    burst_window: float = number(0.1, "s", "length of the windows in which a burst is tried", "effort")
+    num_peaks: int = number(2, "windows", "kept for each size of the residual", "effort")
+    num_short_windows: int = number(11, "windows", "shorter ones that are tried within one", "effort")
+    min_short_gain: float = number(10.0, "2 nats", "that a short window must explain beyond the long one", "chosen")
+    secant_step: float = number(0.5, "prior sd", "of an effect's column", "chosen")
+    slope_step: float = number(0.05, "sd", "of differences in a parameter", "chosen")
+    slope_turn: float = number(0.2, "rad", "of the joints between rows whose slopes are computed", "effort")
+
+
+@dataclass(frozen=True)
+class SearchRules:
+    """Which candidates are refined."""
+
+    max_effects: int = number(4, "effects", "of one cause (--max-effects)", "effort: 4 is where the prior ends")
+    max_candidates_alone: int = number(10, "candidates", "refined without another effect", "effort")
+    max_candidates_added: int = number(4, "candidates", "refined together with other effects", "effort")
+    max_candidates_exchanged: int = number(2, "candidates", "refined in place of an effect", "effort")
+    max_candidates_for_outliers: int = number(2, "candidates", "refined in place of outliers", "effort")
+    batch_size: int = number(2, "candidates", "refined before the next are compared with them", "effort")
+    min_exchange_share: float = number(
+        0.3, "1", "of the best effect's gain, to be exchanged for a full cause", "effort"
+    )
+    screen_error: float = number(5.0, "nats", "of the screen where there is little to gain", "measured: 99 in 100")
+    large_screen_error: float = number(
+        60.0, "nats", "of the screen where there is much, at least", "measured: 95 in 100"
+    )
+    unexplained_factor: float = number(10.0, "1", "times the screen's gain, while nothing explains the gap", "measured")
+    rival_factor: float = number(2.0, "1", "times the screen's gain, of a rival of what explains it", "measured")
+    equal_gain: float = number(1.0, "nats", "causes closer than that are equally good", "effort")
+    max_variants: int = number(3, "causes", "of one effect whose regularised forms are refined", "effort")
+    min_variant_size: float = number(0.01, "typical torque", "residual under which such a form is refined", "effort")
+    burst_shifts: tuple[float, ...] = number(
+        (-1.5, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 1.5), "durations", "by which a burst is moved", "effort"
+    )
+    burst_factors: tuple[float, ...] = number((0.4, 0.63, 1.0, 1.6), "1", "by which it is made longer", "effort")
+    min_burst: float = number(0.03, "s", "shortest unit of these shifts", "effort")
+    min_gain: float = number(2.0, "nats", "that a searched effect must gain", "odds: e²")
+    num_tail_fits: int = number(3, "fits", "of the width of heavy tails", "effort")
+    max_tail_gap: float = number(30.0, "nats", "causes further behind are not refined under heavy tails", "effort")
+    max_step_loss: float = number(0.5, "nats", "that errors of integration may cost", "chosen")
+    max_step_factor: int = number(2, "1", "times the sub-steps that errors in an angle need", "effort")
+    passes_per_row: float = number(11000.0, "passes", "of work, by default", "effort: 102 to 213 s in nine logs")
+    min_budget_rows: int = number(1000, "rows", "that a budget counts at least", "effort")
+    search_share: float = number(0.75, "1", "of the budget, for the search", "effort")
+
+
+@dataclass(frozen=True)
+class DescentRules:
+    """How a candidate's path and parameters are refined."""
+
+    max_rounds: int = number(6, "rounds", "of path and parameters", "effort")
+    path_steps: int = number(3, "steps", "of Gauss–Newton in a round", "effort")
+    path_tolerance: float = number(0.3, "nats", "smaller gains end Gauss–Newton", "effort")
+    max_short_steps: int = number(25, "steps", "of decreasing length, where none was a gain", "effort")
+    max_lost_kappa: float = number(2.0, "noise", "larger errors: the path is not found yet", "effort")
+    settled_sds: float = number(0.1, "sd", "smaller changes of a parameter end a descent", "effort")
+    unseen_gain: float = number(0.5, "nats", "that a last step may promise", "effort")
+    lead_slack: tuple[float, ...] = number(
+        (1000.0, 100.0, 10.0, 1.0), "1", "factors on the dynamics' noise, one after the other", "effort"
+    )
+    lead_steps: int = number(6, "steps", "of Gauss–Newton at each factor", "effort")
+    firm_steps: int = number(20, "steps", "of Gauss–Newton under a smaller residual", "effort")
+    transfer_steps: int = number(50, "steps", "of Gauss–Newton on another recording", "effort")
+    wide_backlash: float = number(0.1, "rad", "a wider gap needs a path of its own", "effort")
+    width_step: float = number(0.4, "log", "first step of a gap's width", "effort")
+    min_width_step: float = number(0.012, "log", "last step", "effort")
+    max_parabola_loss: float = number(4.0, "nats", "that a step may cost for a parabola to hold", "effort")
+    max_width_evaluations: int = number(24, "widths", "that are tried", "effort")
+    width_rounds: int = number(4, "rounds", "of each width; two lose forty nats at a stop", "effort")
+    near_width: float = number(0.15, "log", "widths so close start from each other's path", "effort")
+    max_searches: int = number(4, "searches", "of each of several effects on the scatter", "effort")
+    min_repeat_gain: float = number(50.0, "nats", "that an effect must gain for the others to be repeated", "effort")
+    simplex_evaluations: int = number(16, "per parameter", "of the simplex search", "effort")
+    prior_quantiles: tuple[float, ...] = number((0.1, 0.3, 0.6, 0.9), "1", "of a prior, as grid points", "effort")
+    num_prior_draws: int = number(2000, "draws", "from which quantiles of a prior come", "effort")
+
+
+@dataclass(frozen=True)
+class OutcomeRules:
+    """SMC, held-out rows, places and formulas."""
+
+    num_filters: int = number(8, "filters", "of an SMC run", "effort")
+    num_particles: int = number(20, "particles", "of each filter", "effort")
+    paths_per_filter: int = number(4, "paths", "of the posterior", "effort")
+    proposal_degrees: float = number(
+        8.0, "1", "degrees of freedom of the proposal, heavier than the posterior", "chosen"
+    )
+    num_interval_draws: int = number(4000, "draws", "behind parameters' intervals", "effort")
+    num_noise_draws: int = number(8, "recordings", "drawn to measure their noise", "effort")
+    bootstrap_block: float = number(0.4, "s", "length of the bootstrap's blocks", "stated")
+    num_bootstraps: int = number(1000, "draws", "of the bootstrap", "effort")
+    fit_share: float = number(2 / 3, "rows", "fitted where the last ones are held out", "stated")
+    max_sd_growth: float = number(
+        4.0, "1", "growth of a parameter's sd; more: only held-out rows show it", "measured: 1.2 elsewhere"
+    )
+    min_effects_tested: int = number(3, "effects", "of a set, each tested by held-out rows", "odds: P(3) = .016")
+    interval_mass: float = number(0.8, "1", "of the gap, in the intervals of time together", "stated")
+    max_interval_share: float = number(0.4, "1", "of the recording; longer intervals say nothing", "stated")
+    gap_smoothing: float = number(0.1, "s", "over which the gap is averaged", "chosen")
+    max_terms: int = number(3, "terms", "of a formula", "stated")
+    product_cost: float = number(5.0, "nats", "that a term of two factors must gain more", "chosen")
+    num_left_out: int = number(10, "parts", "of the rows, left out in turn for a coefficient's error", "effort")
+    path_bias: float = number(0.03, "1", "by which the path's errors shrink a coefficient", "measured: 1 to 3 %")
+
+
+@dataclass(frozen=True)
+class CheckRules:
+    """Mistakes in a log: signs, zeros, units, columns, gears, offsets."""
+
+    max_mistakes: int = number(3, "mistakes", "in one log", "chosen")
+    min_misfit: float = number(0.05, "1", "of the torque; under less nothing is wrong", "measured: 98 logs")
+    max_remaining: float = number(0.55, "1", "of the misfit, once a mistake is put right", "measured: 98 logs")
+    max_right_misfit: float = number(0.4, "1", "of the torque, in a log that is right", "measured: 98 logs")
+    max_joint_misfit: float = number(
+        0.15, "1", "of a joint's torque, once its mistake is put right", "measured: 98 logs, right < .1, wrong > .22"
+    )
+    sure_misfit: float = number(0.2, "1", "of the torque, from which on a mistake is sure", "chosen")
+    sure_remaining: float = number(0.3, "1", "of the misfit, once a sure mistake is put right", "chosen")
+    equal_misfit: float = number(1.15, "1", "times the smallest: other mistakes explain it as well", "chosen")
+    zero_grid: tuple[float, ...] = number(
+        tuple(np.radians(np.arange(-165, 181, 15)).tolist()), "rad", "zeros that are tried first", "effort"
+    )
+    factor_grid: tuple[float, ...] = number(
+        (1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0),
+        "1",
+        "gears and units that are tried first",
+        "effort",
+    )
+    max_gain: float = number(2.0, "1", "smaller factors on torques are a gain, for the diagnosis", "stated")
+    min_zero: float = number(math.radians(7), "rad", "smaller zeros are an effect, for the diagnosis", "stated")
+    min_offset: float = number(0.2, "rms torque", "smaller constant torques are an effect", "stated")
+    gear_tolerance: float = number(0.05, "1", "gears closer than that are the same", "chosen")
+    max_gear: float = number(300.0, "1", "of a robot, of which the largest have 160", "stated")
+    max_tilt: float = number(0.45, "rad", "of gravity: three sds of its prior", "stated")
+    min_motor_limit: float = number(0.18, "1", "of the largest command: three sds of its prior", "stated")
+    max_encoder_offset: float = number(math.radians(10), "rad", "between encoders and keypoints", "stated")
+    max_first_offset: float = number(math.radians(20), "rad", "at the first joint: a camera may be rolled", "stated")
+    min_resultant: float = number(0.95, "1", "mean resultant length of a constant difference", "chosen")
+    min_direction_rows: int = number(11, "rows", "with a link's direction, to test its zero", "chosen")
+    min_link_length: float = number(0.02, "reach", "as seen, for a link's direction to count", "chosen")
+    degrees_misfit: float = number(0.1, "1", "of the torque, which confirms that angles are degrees", "chosen")
+    range_tolerance: float = number(0.5, "of ±100", "by which a number is at the end of its range", "stated")
+    cubic_windows: tuple[int, ...] = number((7, 13, 25, 49, 97), "rows", "of the local cubic of a motion", "effort")
+    max_fit_rows: int = number(1200, "rows", "of two joints; fewer of more", "effort")
+    link_sd: float = number(0.3, "1", "by which a file's number of a link may be off", "stated")
+    ridge: float = number(1e-3, "1", "weight of the prior: two sds cost 6 % of the torque", "chosen")
+    slow_velocity: float = number(0.1, "rms velocity", "smaller ones have no dry friction's sign", "chosen")
+    min_torque_scale: float = number(0.1, "largest torque", "that any joint's scale has at least", "chosen")
+    min_part: float = number(0.02, "1", "of a base parameter, for another number to be named in it", "stated")
+    min_noise_share: float = number(0.02, "rms torque", "left by any body", "chosen")
+    max_look_rows: int = number(600, "rows", "on which the visible effects are computed", "effort")
+    min_clock_overlap: float = number(
+        0.5, "1", "of the shorter recording, for a camera's clock; largest misfit", "chosen"
+    )
+    min_clock_points: int = number(20, "points", "in both recordings", "chosen")
+    max_grid_frames: int = number(400, "frames", "on the grid of offsets", "effort")
+    max_point_misfit: float = number(3.0, "medians", "that one point counts at most", "chosen")
+    min_contrast: float = number(1.5, "1", "times the smallest misfit, that other offsets must leave", "chosen")
+    num_clock_blocks: int = number(10, "blocks", "of a film, for the offset's error", "effort")
+    max_log_gap: float = number(3.0, "intervals", "of a log; nothing is known within longer gaps", "chosen")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The tree of numbers that a diagnosis follows."""
+
+    evidence: EvidenceRules = EvidenceRules()
+    residual: ResidualRules = ResidualRules()
+    recording: RecordingRules = RecordingRules()
+    screening: ScreeningRules = ScreeningRules()
+    search: SearchRules = SearchRules()
+    descent: DescentRules = DescentRules()
+    outcome: OutcomeRules = OutcomeRules()
+    check: CheckRules = CheckRules()
+
+    def replace(self, **values: Any) -> "Rules":
+        """The rules with other values, by the numbers' own names; raises TypeError for a name that there is not."""
+        groups = {each.name: getattr(self, each.name) for each in fields(self)}
+        if unknown := values.keys() - {name for group in groups.values() for name in vars(group)}:
+            raise TypeError(f"expected names of rules, got {', '.join(sorted(unknown))}: docs/numbers.md lists them")
+        return replace(
+            self,
+            **{
+                key: replace(group, **{name: value for name, value in values.items() if name in vars(group)})
+                for key, group in groups.items()
+            },
+        )
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Numbers that no run changes."""
+
+    # -- how the noise of a recording is measured
+    label_misfit_ratio: float = number(7.0, "medians", "of links' lengths, of exchanged labels", "chosen")
+    neighbour_rows: tuple[int, ...] = number((-3, -2, -1, 1, 2, 3), "rows", "whose parabolas predict a row", "chosen")
+    outlier_rank: int = number(4, "parabolas", "without two of the six neighbours", "combinatorics")
+    min_parabolas: int = number(10, "parabolas", "known of a row, of twenty", "chosen")
+    outlier_ratio: float = number(7.0, "quartiles", "of the distances, beyond which a row is an outlier", "chosen")
+    edge_outlier_ratio: float = number(5.0, "quartiles", "the same for one parabola", "chosen")
+    outlier_quantile: float = number(0.75, "1", "of the distances, that these count", "chosen")
+    num_speed_bins: int = number(8, "bins", "of speed", "chosen")
+    min_bin_rows: int = number(10, "rows", "of each bin", "chosen")
+    velocity_span: float = number(0.2, "s", "of the polynomial whose slope is a velocity", "chosen")
+    velocity_degree: int = number(3, "1", "of that polynomial", "chosen")
+    min_growth_gain: float = number(16.0, "variances", "of the misfit, from which on noise grows", "chance")
+    difference_overlap: float = number(2.0, "1", "on a median's variance, as differences share rows", "chosen")
+    growth_log_sd: float = number(1 / 3, "log", "sd of a noise at rest that was extrapolated", "measured")
+    # -- what work costs, in passes
+    column_cost: float = number(0.6, "passes", "of a column", "measured")
+    linearise_cost: float = number(0.75, "passes", "of a linearisation", "measured")
+    filter_cost: float = number(0.2, "passes", "of a filter of one size", "measured")
+    rowwise_cost: float = number(10.0, "1", "times a pass, of a model whose gap is solved row by row", "measured")
+    refused_steps: int = number(2, "passes", "of a round, for refused steps and the last linearisation", "measured")
+    firm_cost: int = number(3, "passes", "of a path under a smaller residual", "measured")
+    hinge_cost: int = number(10, "1", "times a column, of a hidden hinge", "measured")
+    effect_cost: int = number(20, "columns", "of any effect, besides its own", "measured")
+    # -- memory and floating-point arithmetic
+    max_block_columns: int = number(200, "columns", "whitened together", "memory")
+    max_block_rows: int = number(1500, "rows", "for so many columns; fewer for more", "memory")
+    max_parameter_sets: int = number(64, "sets", "propagated together", "memory")
+    max_whitened: int = number(2**25, "numbers", "for all sizes at once: 256 MB", "memory")
+    rounding: float = number(1e-9, "1", "smaller relative differences are rounding", "float64")
+    negligible: float = number(1e-6, "1", "smaller relative differences, angles and rates are none", "float64")
+    uneven_spacing: float = number(1e-3, "1", "relative; less is even", "chosen")
+    diverged_sds: float = number(1e10, "sd", "larger changes of the data leave no digits", "float64")
+    failed_score: float = number(-1e9, "nats", "of a width with which the simulation does not run", "float64")
+    kappa_rounds: int = number(6, "rounds", "of EM for the noise scale", "effort")
+    jerk_span: float = number(0.1, "s", "of the cubic whose third derivative is a motion's", "chosen")
+    jerk_points: int = number(11, "points", "in that span", "chosen")
+    # -- replays
+    replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
+    cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")
+    min_replay_rows: int = number(13, "rows", "with all angles", "chosen")
+    extra_samples: int = number(2, "samples", "that an actuator with a delay remembers besides", "MuJoCo")
+    # -- the report
+    num_shown: int = number(5, "causes", "in full view", "stated")
+    max_quiet_share: float = number(0.15, "1", "of frames beyond a 90 % band, of a quiet joint", "chance: .10")
+    min_map_share: float = number(0.15, "1", "of the largest residual; smaller ones are grey", "stated")
+    equal_share: float = number(0.005, "1", "shares closer than that are written as equal", "stated")
+    max_digits: int = number(6, "digits", "by which two numbers are told apart", "stated")
+    arm_width: int = number(400, "px", "of the arm's picture", "layout")
+    min_arm_height: int = number(150, "px", "of the arm's picture", "layout")
+    max_arm_height: int = number(320, "px", "of the arm's picture", "layout")
+    arm_margin: int = number(56, "px", "above and below the arm", "layout")
+    max_name_letters: int = number(14, "letters", "of a name in the picture", "layout")
+    plot_width: int = number(2000, "units", "of a plot's box", "layout")
+    plot_height: int = number(1000, "units", "of a plot's box", "layout")
+    max_plot_points: int = number(800, "points", "of a line", "layout")
+    max_replay_frames: int = number(600, "frames", "of the animation", "layout")
+    replay_width: int = number(480, "px", "of the animation", "layout")
+    replay_height: int = number(360, "px", "of the animation", "layout")
+    max_background_points: int = number(400, "points", "of each keypoint behind the animation", "layout")
+
+
+DEFAULT = Rules()
+FIXED = Fixed()
+
+
+def numbers() -> list[tuple[str, Any]]:
+    """(group, field) of every number, in their order; the group of a fixed one is "fixed"."""
+    rules = Rules()
+    found = [(group.name, each) for group in fields(rules) for each in fields(getattr(rules, group.name))]
+    return [*found, *(("fixed", each) for each in fields(Fixed))]
