@@ -9,10 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import arviz as az
+from cattrs import Converter
+from cattrs.gen import make_dict_unstructure_fn, override
 
 from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.problem.regime import REGIMES
+from invdyn.diagnosis.rules import DEFAULT, Rules
 
 SCHEMA = 2
 """Of `diagnosis.json`: 2 has all of 1, and adds what of a file changes, what was learned of it, and the budget."""
@@ -249,6 +252,7 @@ class Diagnosis:
     planar_only: tuple[str, ...] = ()
     noise: Noise | None = None
     length_unit: str = "m"
+    rules: Rules = DEFAULT
 
     @property
     def knows_torque(self) -> bool:
@@ -257,9 +261,8 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""
-        return _finite(self._contract())
-
-    def _contract(self) -> dict:
+        written = {} if self.written is None else {"write_back": plain(self.written)}
+        search = {"stopped_at_the_budget": self.not_looked_at > 0, "not_looked_at": self.not_looked_at}
         return {
             "schema": SCHEMA,
             "recording": self.recording,
@@ -267,88 +270,79 @@ class Diagnosis:
             "regime": self.regime,
             "length_unit": self.length_unit,
             "not_enough_data": self.not_enough_data,
-            "gap": {
-                "detected": self.gap.detected,
-                "probability": self.gap.probability,
-                "elpd_per_frame": self.gap.elpd_per_frame,
-                "residual_torque_rms": self.gap.residual_torque_rms,
-                "replay_rms_m": self.gap.replay_rms_m,
-                "matters": self.gap.detected,
-                "tolerated_torque": self.gap.tolerated_torque,
-            },
-            "where": {
-                "side": self.where.side,
-                "joints": self.where.joints,
-                "keypoints": self.where.keypoints,
-                "intervals": [{"start": i.start, "end": i.stop, "share": i.share} for i in self.where.intervals],
-                "depends_on": list(self.where.depends_on),
-            },
-            "causes": [
-                {
-                    "effects": [_finding(finding) for finding in cause.effects],
-                    "learned": [_learned(each) for each in cause.learned],
-                    "probability": cause.probability,
-                    "probability_in_part": cause.in_part,
-                    "log_evidence": cause.log_evidence,
-                    "log_evidence_sd": cause.log_evidence_sd,
-                }
-                for cause in self.causes
-            ],
-            "ambiguity_set": [list(group) for group in self.ambiguity_set],
-            "overlaps": [{"causes": [one, other], "share": share} for one, other, share in self.overlaps],
+            "gap": plain(self.gap),
+            "where": plain(self.where),
+            "causes": plain(self.causes),
+            "ambiguity_set": plain(self.ambiguity_set),
+            "overlaps": [{"causes": [one, other], "share": plain(share)} for one, other, share in self.overlaps],
             "separating_experiment": self.separating_experiment,
-            "outside_catalogue": {
-                "probability": self.outside.probability,
-                "description": self.outside.description,
-                "gain_per_frame": self.outside.gain_per_frame,
-            },
-            "noise": None if self.noise is None else vars(self.noise),
+            "outside_catalogue": plain(self.outside),
+            "noise": plain(self.noise),
             "not_identifiable": list(self.not_identifiable),
-            "search": {
-                "stopped_at_the_budget": self.not_looked_at > 0,
-                "not_looked_at": self.not_looked_at,
-                "planar_only": list(self.planar_only),
-            },
-            "shrinkage": {
-                **_closed(self.shrinkage),
-                "held_out": self.shrinkage.held_out,
-                "residual_torque_rms_after": self.shrinkage.residual_torque_rms_after,
-                "by_effect": {name: _closed(part) for name, part in self.shrinkage.by_effect.items()},
-            },
-            **({} if self.written is None else {"write_back": vars(self.written)}),
+            "search": {**search, "planar_only": list(self.planar_only)},
+            "shrinkage": plain(self.shrinkage),
+            **written,
         }
 
 
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that are not finite, which JSON lacks."""
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+CONVERTER = Converter(unstruct_collection_overrides={tuple: list})
+"""Results to what JSON can hold. Its keys follow the order of fields, but for what is said below."""
 
 
-def _closed(share: Shrinkage | Part) -> dict:
-    interval = share.interval_90
-    return {"gap_closed": share.gap_closed, "interval_90": None if interval is None else list(interval)}
+def plain(value: Any) -> Any:
+    """A part of a result as dictionaries, lists, texts and numbers, None for numbers that are not finite."""
+    return CONVERTER.unstructure(value)
 
 
 def _finding(finding: Finding) -> dict:
-    parameters: dict[str, dict] = {
-        name: {"mean": e.mean, "sd": e.sd, "interval_90": list(e.interval_90), "unit": e.unit}
-        for name, e in finding.parameters.items()
-    }
+    parameters: dict[str, dict] = plain(finding.parameters)
     for name, change in finding.changes.items():
-        to = change.after
-        parameters[name] |= {"from": change.before, "to": to.mean, "to_interval_90": list(to.interval_90)}
+        after = plain(change.after)
+        parameters[name] |= {"from": plain(change.before), "to": after["mean"], "to_interval_90": after["interval_90"]}
     return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
 
 
 def _learned(number: Learned) -> dict:
-    to = number.change.after
-    interval = list(to.interval_90)
-    where = {"place": number.place, "quantity": number.quantity, "from": number.change.before}
-    return {**where, "to": to.mean, "sd": to.sd, "to_interval_90": interval, "unit": to.unit}
+    after = plain(number.change.after)
+    return {
+        "place": number.place,
+        "quantity": number.quantity,
+        "from": plain(number.change.before),
+        "to": after["mean"],
+        "sd": after["sd"],
+        "to_interval_90": after["interval_90"],
+        "unit": after["unit"],
+    }
+
+
+def _cause(cause: Cause) -> dict:
+    return {
+        "effects": plain(cause.effects),
+        "learned": plain(cause.learned),
+        "probability": plain(cause.probability),
+        "probability_in_part": plain(cause.in_part),
+        "log_evidence": plain(cause.log_evidence),
+        "log_evidence_sd": plain(cause.log_evidence_sd),
+    }
+
+
+def _gap(gap: Gap) -> dict:
+    fields = GAP(gap)
+    tolerated = fields.pop("tolerated_torque")
+    return fields | {"matters": gap.detected, "tolerated_torque": tolerated}
+
+
+CONVERTER.register_unstructure_hook(float, lambda value: value if math.isfinite(value) else None)
+GAP = make_dict_unstructure_fn(Gap, CONVERTER)
+for kind, hook in {
+    Finding: _finding,
+    Learned: _learned,
+    Cause: _cause,
+    Gap: _gap,
+    Interval: make_dict_unstructure_fn(Interval, CONVERTER, stop=override(rename="end")),
+    Outside: make_dict_unstructure_fn(Outside, CONVERTER, terms=override(omit=True)),
+}.items():
+    CONVERTER.register_unstructure_hook(kind, hook)
 
 
 def named(words: Sequence[str]) -> str:
