@@ -22,7 +22,7 @@ from invdyn.diagnosis.hypotheses.add import _refined, screened_with
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.hypotheses.search import _begun
+from invdyn.diagnosis.hypotheses.search import _initial_pool
 from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.models.divergence import diverging
@@ -39,7 +39,7 @@ def measured(case: Path) -> list[dict]:
     with diverging():
         path, stray = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
-        found = _begun(bound, path, stray, considered(bound, left_out), 1)
+        found = _initial_pool(bound, path, stray, considered(bound, left_out), 1)
         base = found.pool[""]
         for _ in range(2):
             best = screened_with(bound, found, base)

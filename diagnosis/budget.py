@@ -1,13 +1,13 @@
 """How much work a diagnosis may take, what it is trying, and which candidates it had no time for.
 
 A real recording always has something left, so a search that ends when nothing is left does not end. Work is counted,
-not timed: the same recording is answered alike by every machine and any number of workers. Its unit is one pass, a
+not timed: the same recording gets the same answer on every machine, with any number of workers. Its unit is one pass, a
 linearisation of the plain arm along every row; a model with hidden states or sub-steps takes more of them,
 
     work = passes · T (D/D₀)² (3 + s)/4,        T rows, D states, D₀ those of the plain arm, s sub-steps a row,
 
-and a budget allows so many passes a row. Seconds, where somebody asks for them, end it by the clock instead; what is
-found then depends on the machine. The best so far is always an answer (anytime algorithms: Dean & Boddy 1988).
+and a budget allows so many passes a row. Where seconds are given, the clock ends it instead, and the
+result depends on the machine. The best so far is always an answer (anytime algorithms: Dean & Boddy 1988).
 """
 
 import math
@@ -35,47 +35,47 @@ class Budget:
     Attributes:
         work: allowed, in passes times rows.
         seconds: allowed, by ``clock``.
-        told: called with what is being tried, by the process that made the budget.
+        on_progress: called with what is being tried, by the process that made the budget.
         done: work so far.
         missed: names of candidates that were not looked at.
-        share: of work and seconds that may be used for now; all may be begun while it is infinite.
+        share: of work and seconds that may be used for now; no limit while it is infinite.
     """
 
     work: float = math.inf
     seconds: float = math.inf
     clock: Callable[[], float] = time.monotonic
-    told: Callable[[str], None] | None = None
+    on_progress: Callable[[str], None] | None = None
     done: float = 0.0
     missed: frozenset[str] = frozenset()
     share: float = math.inf
-    begun: float = field(init=False)
+    started: float = field(init=False)
     process: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin now, in this process."""
-        self.begun, self.process = self.clock(), os.getpid()
+        """Start now, in this process."""
+        self.started, self.process = self.clock(), os.getpid()
 
     def __getstate__(self) -> dict:
-        """Without clock and listener: a copy in another process has the usual clock and tells nobody."""
-        return self.__dict__ | {"told": None, "clock": time.monotonic}
+        """Without clock and listener: a copy in another process has the usual clock, and reports nothing."""
+        return self.__dict__ | {"on_progress": None, "clock": time.monotonic}
 
     @property
     def over(self) -> bool:
         """Whether the share for now is spent."""
-        return self.done >= self.share * self.work or self.clock() - self.begun >= self.share * self.seconds
+        return self.done >= self.share * self.work or self.clock() - self.started >= self.share * self.seconds
 
     @property
     def allowed(self) -> str:
         """In words."""
         return "counted work, the same on every machine" if math.isinf(self.seconds) else f"{self.seconds:g} s"
 
-    def ask(self, *names: str) -> None:
+    def start(self, *names: str) -> None:
         """Say that ``names`` are looked at now; raises :class:`Spent` where nothing is left for them."""
         if self.over:
             self.missed |= set(names)
             raise Spent("the budget is spent")
-        if self.told is not None and os.getpid() == self.process:
-            self.told(names[0] if len(names) == 1 else f"{len(names)} effects")
+        if self.on_progress is not None and os.getpid() == self.process:
+            self.on_progress(names[0] if len(names) == 1 else f"{len(names)} effects")
 
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
@@ -84,7 +84,7 @@ class Budget:
         self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":
-        """Run a part as if it were the only one that was begun."""
+        """Run a part as if it were the only one."""
         before, results = (self.done, self.missed), []
         try:
             with suppress(Spent):

@@ -1,10 +1,10 @@
 """Diagnose the gap between simulation and recording: measure, locate, screen, confirm, add the cause, measure again.
 
-Its stages are rooms beside this file. ``problem`` binds the recording (:mod:`.diagnosis_problem`). ``sensitivity``
-says of every effect what it would change. ``hypotheses`` looks for causes by linearised evidence (:mod:`.search`).
-``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC (:mod:`.confirm`).
-It measures how far the gap closes on held-out data (:mod:`.gap_closure`). What no cause explains becomes a formula
-(:mod:`.symbolic_regression`) with a place (:mod:`.localisation`). :mod:`.assemble` puts all together.
+Its stages are the packages next to this file. ``problem`` binds the recording (:mod:`.diagnosis_problem`).
+``sensitivity`` says of every effect what it would change. ``hypotheses`` looks for causes by linearised evidence
+(:mod:`.search`). ``assessment`` turns evidence into probabilities (:mod:`.model_posterior`), the best confirmed by SMC
+(:mod:`.confirm`). It measures how far the gap closes on withheld data (:mod:`.gap_closure`). What no cause explains
+becomes a formula (:mod:`.symbolic_regression`) with a place (:mod:`.localisation`). :mod:`.assemble` puts all together.
 """
 
 import json
@@ -80,25 +80,25 @@ def diagnose(
         without: names of effects to leave out of the catalogue.
         most: effects at once, at most; by default `rules.search.max_effects`. More take longer, and may imitate what
             the catalogue lacks.
-        seed: same seed, same result, whatever the number of workers.
-        workers: processes that may work side by side; this one is one of them.
-        budget: seconds after which no more candidate is begun, three quarters of them for the search; the fit without
+        seed: same seed, same result, for any number of workers.
+        workers: processes that may run in parallel; this one is one of them.
+        budget: seconds after which no more candidate is started, three quarters of them for the search; the fit without
             any effect and what is said of the causes come on top. The result then depends on the machine. By default
             the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
             nor does what a cause leaves; by default `rules.evidence.tolerance`.
         rules: the numbers that the diagnosis follows: `Rules().replace(temper_scale=500)`.
-        checked: somebody has asked :func:`.check_before` of each recording. Else it is asked here: it refuses what is
-            surely a mistake in the recording, and warns of what may be one.
+        checked: :func:`.check_before` was called for each recording. Else it is called here: it refuses what is
+            certainly a mistake in the recording, and warns of what may be one.
         force: go on where a mistake in the recording is sure: it is warned of, and not refused.
         progress: called with (done, total, what).
         checkpoint: folder of this diagnosis, made when missing: what is screened, refined and confirmed is kept there
-            (:mod:`.kept_units`), so that the same call goes on where it was killed, with any number of workers. With a
-            ``budget`` in seconds, what is kept takes none of them.
+            (:mod:`.kept_units`), so that the same call continues where it was killed, with any number of workers. With
+            a ``budget`` in seconds, what is kept takes none of them.
 
     Raises:
-        InputError: the recording does not fit the body, or has a mistake that is sure; the held-out one does not fit
-            the recording, or has too few rows; the simulation diverges from the recording whatever torque is added;
+        InputError: the recording does not fit the body, or has a mistake that is certain; the withheld one does not fit
+            the recording, or has too few rows; the simulation diverges from the recording with any added torque;
             ``most`` or ``budget`` is not positive, ``tolerance`` is no share, or ``without`` names no effect; the
             checkpoint is another diagnosis', or broken.
 
@@ -157,7 +157,7 @@ def diagnose(
         return nothing_to_say(whole, body, seed, passive, str(error))
     effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
     work = effort if budget is None else math.inf
-    allowed = Budget(work, math.inf if budget is None else budget, told=None if progress is None else trying)
+    allowed = Budget(work, math.inf if budget is None else budget, on_progress=None if progress is None else trying)
     bound = replace(bound, budget=allowed, checkpoint=keeper)
     other = None
     if held_out is not None:
@@ -180,16 +180,16 @@ def diagnose(
     report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
-    def held(cause: FittedHypothesis) -> tuple[Closed, Unseen]:
+    def tested(cause: FittedHypothesis) -> tuple[Closed, Unseen]:
         there = unseen(bound, none, cause, other)
         return closed(*there.scores, there.rows, time, seed, rules=rules), there
 
     likely = found.best
     # What is likely may fail there, and not be the best.
-    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, held, likely)]
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, tested, likely)]
     weighed, known = side_by_side(both, workers, allowed)
     report(3, "held out")
-    shares, there = held(weighed.best) if known is None or weighed.best is not likely else known
+    shares, there = tested(weighed.best) if known is None or weighed.best is not likely else known
     there = replace(there, problem=replace(there.problem, budget=allowed))  # not a copy that came from another process
     left = there.leaves
     if left:
@@ -197,9 +197,9 @@ def diagnose(
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
     if not bound.regime.knows_torque and weighed.best.effects and unsure:
-        # Evidence there rests on the torque's prior, which no limb obeys: a cause must surely predict better.
+        # Evidence there depends on the torque's prior, which no limb obeys: a cause must predict better beyond doubt.
         weighed = only(bound, found, none, weighed.log_evidence)
-        shares, there = held(none)
+        shares, there = tested(none)
     best = weighed.best
     if len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
@@ -228,9 +228,9 @@ def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int) -> 
     """The problem in sub-steps short enough along the data's path, and the search."""
     try:
         with diverging():
-            path, stray = data_path(bound)
+            path, has_outliers = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            bound, found = search_either(bound, path, lambda law: search(law, path, stray, without, workers))
+            bound, found = search_either(bound, path, lambda law: search(law, path, has_outliers, without, workers))
             return heavy_tailed(bound, found)
     except Diverged as error:
         raise cannot_follow(bound) from error

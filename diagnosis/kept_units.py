@@ -1,9 +1,9 @@
-"""Units of a diagnosis, kept in a folder, so that the same call goes on where an earlier one was killed.
+"""Units of a diagnosis, kept in a folder, so that the same call continues where an earlier one was killed.
 
 A diagnosis is a deterministic function of its inputs, made of units: a screen, a refinement, the search of an effect's
 parameters, a run of filters. Each is kept under a digest of all that it depends on as soon as it is done, and looked up
 before it is computed (memoisation: Michie 1968, "Memo functions and machine learning", Nature 218). A call that was
-killed loses the units at work, one for each process; what it goes on to say is the same to the bit.
+killed loses the units at work, one for each process; its result is the same to the bit.
 
 A unit also leaves what it did to the budget, and the failure that is its answer. Units are numbers and names, as all
 checkpoints (:mod:`invdyn.inference.execution.checkpoint`): to read them runs no code.

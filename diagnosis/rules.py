@@ -83,7 +83,9 @@ class ResidualRules:
     max_shared_outliers: float = number(0.25, "1", "the same for outliers of several keypoints in one row", "chosen")
     max_excess_along: float = number(0.05, "1", "the same for errors along the motion, beyond a half", "chosen")
     error_margin: float = number(2.0, "sd", "by which each of these three may exceed its limit", "chance: .023")
-    limb_margin: float = number(3.0, "1", "times its likeliest size, a limb's torque when errors are tested", "stated")
+    limb_margin: float = number(
+        3.0, "1", "times its most probable size, a limb's torque when errors are tested", "stated"
+    )
     max_memory: float = number(0.6, "1", "largest correlation of a tracker's errors from row to row", "chosen")
     min_memory_gain: float = number(1.0, "nats", "that a memory must be able to gain to be integrated", "effort")
     max_interval_ratio: float = number(1.5, "intervals", "rows further apart share no memory", "chosen")
@@ -193,7 +195,7 @@ class DescentRules:
 
 @dataclass(frozen=True)
 class OutcomeRules:
-    """SMC, held-out rows, places and formulas."""
+    """SMC, withheld rows, places and formulas."""
 
     num_filters: int = number(8, "filters", "of an SMC run", "effort")
     num_particles: int = number(20, "particles", "of each filter", "effort")
@@ -205,11 +207,11 @@ class OutcomeRules:
     num_noise_draws: int = number(8, "recordings", "drawn to measure their noise", "effort")
     bootstrap_block: float = number(0.4, "s", "length of the bootstrap's blocks", "stated")
     num_bootstraps: int = number(1000, "draws", "of the bootstrap", "effort")
-    fit_share: float = number(2 / 3, "rows", "fitted where the last ones are held out", "stated")
+    fit_share: float = number(2 / 3, "rows", "fitted where the last ones are withheld", "stated")
     max_sd_growth: float = number(
-        4.0, "1", "growth of a parameter's sd; more: only held-out rows show it", "measured: 1.2 elsewhere"
+        4.0, "1", "growth of a parameter's sd; more: only withheld rows show it", "measured: 1.2 elsewhere"
     )
-    min_effects_tested: int = number(3, "effects", "of a set, each tested by held-out rows", "odds: P(3) = .016")
+    min_effects_tested: int = number(3, "effects", "of a set, each tested by withheld rows", "odds: P(3) = .016")
     interval_mass: float = number(0.8, "1", "of the gap, in the intervals of time together", "stated")
     max_interval_share: float = number(0.4, "1", "of the recording; longer intervals say nothing", "stated")
     gap_smoothing: float = number(0.1, "s", "over which the gap is averaged", "chosen")
@@ -354,7 +356,7 @@ class Fixed:
     max_quiet_share: float = number(0.15, "1", "of frames beyond a 90 % band, of a quiet joint", "chance: .10")
     min_map_share: float = number(0.15, "1", "of the largest residual; smaller ones are grey", "stated")
     equal_share: float = number(0.005, "1", "shares closer than that are written as equal", "stated")
-    max_digits: int = number(6, "digits", "by which two numbers are told apart", "stated")
+    max_digits: int = number(6, "digits", "that distinguish two numbers", "stated")
     arm_width: int = number(400, "px", "of the arm's picture", "layout")
     min_arm_height: int = number(150, "px", "of the arm's picture", "layout")
     max_arm_height: int = number(320, "px", "of the arm's picture", "layout")

@@ -1,8 +1,8 @@
 """Independent parts of one diagnosis side by side, on the cores that there are.
 
-This process and copies of it (fork), which know all that they need without being told, take the parts in turn, each the
+This process and copies of it (fork), which share its memory, take the parts in turn, each the
 next one as soon as it is free; copies send back what they found. Nothing is drawn at random in a part but from seeds of
-its own, and results come in the parts' order: they are the same whatever the number of workers. Where the system has no
+its own, and results come in the parts' order: they are the same for any number of workers. Where the system has no
 fork, or has one worker to spend, the parts run one after the other.
 """
 

@@ -16,7 +16,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
-LOOSE = COMMANDED.loose
+LOOSE = COMMANDED.path_size
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
 PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
 UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)

@@ -207,7 +207,8 @@ def _observed(bound: DiagnosisProblem) -> np.ndarray:
 def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     """Keys of the effects that this recording could not have shown.
 
-    Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if faint.
+    Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if too weak
+    to see.
     """
     regime, body = bound.regime, bound.model.body
     shown = added(found.first)
@@ -241,12 +242,12 @@ def _ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ..
     total = sum(cause.probability for cause in named)
     if any(not cause.effects and cause.probability > 0.5 for cause in causes):
         return ()
-    held, rivals = 0.0, []
+    mass, rivals = 0.0, []
     for cause in named:
-        if total <= 0 or held > rules.evidence.credible_mass * total:
+        if total <= 0 or mass > rules.evidence.credible_mass * total:
             break
         rivals.append("+".join(f.key for f in cause.effects))
-        held += cause.probability
+        mass += cause.probability
     return tuple(rivals) if len(rivals) > 1 else ()
 
 
@@ -264,8 +265,8 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         "candidates": f"{len(found.candidates)} effects at their places; {len(found.pool)} causes refined, of "
         f"at most {bound.rules.search.max_effects} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
-        "noise scale at its likeliest (its integral adds the same to each), what errors remember of the row before "
-        f"integrated out (at its likeliest {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
+        "noise scale at its most probable (its integral adds the same to each), what errors remember of the row before "
+        f"integrated out (most probably {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
         "budget": f"{bound.budget.allowed}, the search three quarters of it; {_looked_at(found.missed)}",
         "held out": held_out,

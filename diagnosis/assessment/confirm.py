@@ -6,7 +6,7 @@ linearised about its own path, and the outer weight
 
     W_m = Ẑ_m p(φ_m) / q(φ_m),        log p(y) ≈ log (1/M) Σ W_m,
 
-which is unbiased whatever q and the guide are, for any fixed M; that a second run joins where the first one's standard
+which is unbiased for any q, any guide and any fixed M; that a second run joins where the first one's standard
 error is large leaves it a little low. Noise scale, residual and parameters that were searched (:mod:`.noise`) stand at
 their estimates; what integrating over the residual's size and over those adds is taken from the refinement, and so is
 what a memory of the observations' errors is worth.
@@ -154,7 +154,7 @@ def _filtered(
     # Their guides differ in where they lead, and next to nothing in how: one set's slopes do for all.
     slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
     smoothers = gauss_newton(model, problem.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
-    # No linearised dynamics tell where a gap's state goes.
+    # No linearised dynamics show where a gap's state goes.
     block = BLOCK if model.jumping is None else 1
     with seeded(seed):
         return BlockFilter(model, smoothers, problem.rules.outcome.num_particles, block=block).run(problem.observations)
@@ -188,7 +188,7 @@ def _draw(problem: DiagnosisProblem, cause: FittedHypothesis, count: int, seed: 
     half = q.rvs(math.ceil(count / 2), random_state=np.random.default_rng(seed)).reshape(-1, p)
     values = cause.mean + sd * np.concatenate([half, -half])[:count]
     inside = ((values > among.lower) & (values < among.upper)).all(-1)
-    # Outside its prior's support a draw weighs nothing; its filter runs at the mean, or just beside a bound.
+    # Outside its prior's support a draw weighs nothing; its filter runs at the mean, or just inside a bound.
     mean = np.clip(cause.mean, among.lower + 1e-6 * among.sd, among.upper - 1e-6 * among.sd)
     values = np.where(inside[:, None], values, mean)
     log_q = q.logpdf((values - cause.mean) / sd).reshape(-1) - np.log(sd).sum()

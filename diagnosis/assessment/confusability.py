@@ -1,4 +1,4 @@
-"""How much alike two effects change a recording: the squared cosine between their predicted changes, whitened.
+"""How similarly two effects change a recording: the squared cosine between their predicted changes, whitened.
 
 Along the path of the first screen (:mod:`.screen`) an effect with columns A, and what it adds as it is, b, explains of
 the whitened data r
@@ -17,7 +17,7 @@ import numpy as np
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
-from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, beside
+from invdyn.diagnosis.sensitivity.screen import Added, Screened, added, stacked
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, whiten
 
@@ -28,7 +28,7 @@ def change(problem: DiagnosisProblem, screened: Added) -> np.ndarray:
     levels, common = np.array([problem.rules.residual.spike_size]), unknowns(problem, ())
     about = filter_of(problem, model, path, levels, linear_of(problem, model, path))
     body = slopes(model, common, common.mean, problem.rules.screening.slope_step * common.sd, path)
-    columns = whiten(problem, about, beside([screened.columns, body])).columns[0]
+    columns = whiten(problem, about, stacked([screened.columns, body])).columns[0]
     offset, free = int(best.offset is not None), len(best.free)
     basis, _ = np.linalg.qr(columns[:, 1 + offset + free :])
     columns = columns - basis @ (basis.T @ columns)
@@ -47,9 +47,9 @@ def overlaps(
     """
     found = {key(s.effect): s for s in added(first)}
     changed = {name: change(problem, found[name]) for name in rivals if name in found}
-    return tuple((one, other, _alike(changed[one], changed[other])) for one, other in combinations(changed, 2))
+    return tuple((one, other, _overlap(changed[one], changed[other])) for one, other in combinations(changed, 2))
 
 
-def _alike(one: np.ndarray, other: np.ndarray) -> float:
+def _overlap(one: np.ndarray, other: np.ndarray) -> float:
     size = float(one @ one) * float(other @ other)
     return float(one @ other) ** 2 / size if 0 < size < np.inf else 0.0

@@ -14,7 +14,7 @@ from invdyn.models.effects.joint_limit import have_room
 def credible(bound: DiagnosisProblem, cause: FittedHypothesis) -> bool:
     """Whether what was found of each effect is what its name says, and is not as large as anything may be."""
     for effect in cause.effects:
-        mean, sd = of_effect(effect, cause.values), of_effect(effect, cause.spread)
+        mean, sd = of_effect(effect, cause.values), of_effect(effect, cause.sds)
         if not effect.credible(mean, sd, bound.model.scale):
             return False
         if is_searched(effect) and any(

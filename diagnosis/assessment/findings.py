@@ -138,7 +138,7 @@ def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float
 
 def tempered_covariance(cause: FittedHypothesis, among: Unknowns, temper: float) -> np.ndarray:
     """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
-    # In units of the prior's spreads, where S = I and no eigenvalue of the posterior's covariance is above one.
+    # In units of the prior's sds, where S = I and no eigenvalue of the posterior's covariance is above one.
     values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))
     wider = _tempered(np.clip(values, 1e-300, 1.0), temper)
     return (vectors * wider) @ vectors.T * np.outer(among.sd, among.sd)

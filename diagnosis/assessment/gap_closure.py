@@ -11,8 +11,8 @@ and the floor that a simulation without a gap would reach:
 Of several effects each closes what the others leave: Σ (with all − with all but it) over the same gap. What the data do
 not bear out closes nothing, or less.
 
-The interval comes from a bootstrap of the rows in blocks, as neighbouring errors are alike, and in a circle, so that
-the first and last rows count as often as others (Politis & Romano 1992).
+The interval comes from a bootstrap of the rows in blocks, as neighbouring errors are correlated, and in a circle, so
+that the first and last rows count as often as others (Politis & Romano 1992).
 """
 
 from collections.abc import Callable, Mapping
@@ -60,7 +60,7 @@ class Unseen:
     """No effect and a cause, as other rows know them, along the paths of those (T,) ``rows`` of ``problem`` that count.
 
     Attributes:
-        leaves: whether the cause surely leaves something on another recording (:mod:`.transfer`).
+        leaves: whether the cause leaves something beyond chance on another recording (:mod:`.transfer`).
         fresh: whether its parameters do not know these rows; what earlier ones do not show is as all of them give it.
     """
 
@@ -117,15 +117,15 @@ def by_effect(
 
 
 def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed], rules: Rules = DEFAULT) -> bool:
-    """Whether held-out rows speak for each effect of a cause of ``several``, stray detections not counted.
+    """Whether withheld rows confirm each effect of a cause of `min_effects_tested`, outliers not counted.
 
     Several together imitate what the catalogue lacks, and what does that closes nothing where the arm moves on. The
     90 % interval of what each closes, by its key in ``parts``, must not reach down to nothing; where it was not
     measured there is nothing to say.
     """
-    asked = [parts.get(key(effect)) for effect in others(cause)]
-    measured = [part.interval for part in asked if part is not None and part.interval is not None]
-    return len(asked) < rules.outcome.min_effects_tested or all(low > 0 for low, _ in measured)
+    tested = [parts.get(key(effect)) for effect in others(cause)]
+    measured = [part.interval for part in tested if part is not None and part.interval is not None]
+    return len(tested) < rules.outcome.min_effects_tested or all(low > 0 for low, _ in measured)
 
 
 def _apart(
@@ -146,12 +146,12 @@ def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: Di
     """
     settled = replace(cause, covariance=np.zeros_like(cause.covariance))
     try:
-        begun, size = cause.path[: len(train.observations)], best_size(problem, cause)
+        start, size = cause.path[: len(train.observations)], best_size(problem, cause)
         with diverging():
-            fitted = refine(train, cause.effects, cause.values, begun, size, rounds=2, **cause.searched)
+            fitted = refine(train, cause.effects, cause.values, start, size, rounds=2, **cause.searched)
     except (Diverged, Spent):
         return settled  # the first rows by themselves lead nowhere
-    # Linearised along a path that knows the held-out rows; the predictions themselves do not.
+    # Linearised along a path that knows the withheld rows; the predictions themselves do not.
     return settled if _shown_later(cause, fitted, problem.rules) else replace(fitted, path=cause.path)
 
 
@@ -171,9 +171,9 @@ def closed(
     rules: Rules = DEFAULT,
 ) -> Closed:
     """Share of the gap that is closed on ``rows`` (T,): from ``nothing`` on, or from what is known ``besides``."""
-    begun = besides or nothing
-    use = rows & np.isfinite(nothing.score) & np.isfinite(with_cause.score) & np.isfinite(begun.score)
-    gain, gap = (with_cause.score - begun.score)[use], (with_cause.floor - nothing.score)[use]
+    base = besides or nothing
+    use = rows & np.isfinite(nothing.score) & np.isfinite(with_cause.score) & np.isfinite(base.score)
+    gain, gap = (with_cause.score - base.score)[use], (with_cause.floor - nothing.score)[use]
     per_frame = {
         "nominal": float(nothing.score[use].mean()),
         "corrected": float(with_cause.score[use].mean()),

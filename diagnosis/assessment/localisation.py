@@ -38,7 +38,7 @@ def where(
 
     Args:
         model: the simulation.
-        causes: key → (cause, probability that it is at work, alone or beside something else).
+        causes: key → (cause, probability that it is at work, alone or with something else).
         outside: probability of what the catalogue lacks and no cause stands in for: a torque, or, where torques are
             unknown and do what they like, something that the camera sees.
         regime: the problem's.
@@ -52,11 +52,11 @@ def where(
     energy = ((residual / typical) ** 2).mean(0)
     everywhere = energy / energy.sum() if energy.sum() > 0 else np.full(len(energy), 1 / len(energy))
     tracked = list(model.observation.tracked_names)
-    spread = (
+    seen_at = (
         shifts / shifts.sum() if len(shifts) and shifts.sum() > 0 else np.full(len(shifts), 1 / max(len(shifts), 1))
     )
     dynamics, observation = (outside, 0.0) if regime.knows_torque else (0.0, outside)
-    joints, keypoints, read = dynamics * everywhere, observation * spread, 0.0
+    joints, keypoints, read = dynamics * everywhere, observation * seen_at, 0.0
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)
@@ -69,7 +69,7 @@ def where(
             else:
                 names = [name for name in effect.where if name in tracked]
                 keypoints = keypoints + share * (
-                    np.isin(tracked, names) / len(names) if names else spread if len(tracked) else 0.0
+                    np.isin(tracked, names) / len(names) if names else seen_at if len(tracked) else 0.0
                 )
     return Where(
         side=_normal({"dynamics": dynamics, "observation": observation}),
@@ -106,9 +106,9 @@ def intervals(time: np.ndarray, frame_gap: np.ndarray, rules: Rules = DEFAULT) -
     width = max(round(rules.outcome.gap_smoothing / np.median(np.diff(t))), 1)
     level = np.convolve(gap, np.ones(width) / width, mode="same")
     order = np.argsort(-level)
-    held = np.cumsum(gap[order]) / gap.sum()
+    mass = np.cumsum(gap[order]) / gap.sum()
     inside = np.zeros(len(t), bool)
-    inside[order[: int(np.searchsorted(held, rules.outcome.interval_mass)) + 1]] = True
+    inside[order[: int(np.searchsorted(mass, rules.outcome.interval_mass)) + 1]] = True
     if inside.mean() > rules.outcome.max_interval_share:
         return ()
     edges = np.flatnonzero(np.diff(np.r_[0, inside.astype(int), 0]))

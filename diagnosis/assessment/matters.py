@@ -7,10 +7,10 @@ in an acceleration by half of what that changes in one step of h seconds (Hairer
 
 and that, too, is no gap. The third derivative is the motion's, of cubics through a tenth of a second of its velocity
 (Savitzky & Golay 1964). From row to row a path is as rough as the torque that the simulation lacks. A gap may not raise
-the tolerance that it is held against.
+the tolerance that it is compared with.
 
-A torque counts as large as it is in its worst second: a push is over soon. Where detections are louder than their noise
-whatever the torque does, or only the noise itself is otherwise, no torque tells, and the gap matters. An unknown torque
+A torque counts as large as it is in its worst second: a push is over soon. Where errors exceed their noise with any
+torque, or only the noise itself differs, no torque decides, and the gap matters. An unknown torque
 has no tolerance.
 
 Shapes: T rows, K joints.
@@ -27,7 +27,7 @@ from invdyn.diagnosis.rules import FIXED
 
 
 def tolerated(problem: DiagnosisProblem, path: Tensor) -> np.ndarray:
-    """Torques (K,) N·m that nobody need explain, along ``path`` (T, D)."""
+    """Torques (K,) N·m that need no cause, along ``path`` (T, D)."""
     model, rules = problem.model, problem.rules.evidence
     time, velocity = model.time.numpy(), path[:, -model.body.num_joints :].numpy()
     starts = [*problem.starts]

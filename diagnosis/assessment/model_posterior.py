@@ -9,26 +9,27 @@ residuals that do not matter: under a stated tolerance, or a tenth of the one th
 A cause explains only a part, s_c = 0, in any of these cases:
 
 - errors of prediction are still correlated from row to row, or lie along the motion;
-- keypoints stray in the same rows, which stray detections do not (swapped ones are a cause of their own);
+- outliers of several keypoints come in the same rows, which independent ones do not (swapped ones are a cause of their
+own);
 - errors are larger than the noise that the recording shows;
 - parameters are such that an effect would not bear its name (:meth:`Effect.credible`), as two stops that meet;
 - a residual still gains evidence: L_c = max_size log p − log p(spike) exceeds a hundredth of what it gains without a
-  cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but surely
-  there.
+  cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but
+  not due to chance.
 
-An effect whose likeliest values are not what its name says gives its probability to its special case
+An effect whose most probable values are not what its name says gives its probability to its special case
 (:attr:`Effect.contains`), if that gains all but a tenth of its evidence: Stribeck friction that is less at rest is
-Coulomb friction that is softer than its form here, and something else is left beside either.
+Coulomb friction in a smoother form, and something else is left with either.
 
-The most probable cause has to pass the same on a held-out recording (:mod:`.transfer`). Of three effects or more,
-held-out rows have to bear out each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
+The most probable cause has to pass the same on a withheld recording (:mod:`.transfer`). Of three effects or more,
+withheld rows have to confirm each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
 
-If s_c = 0, another effect is at work beside c. In the choice between causes it costs what a named one does
-(:mod:`.prior`): p_c falls by P(n + 1)/P(n), where c has n ≥ 1 effects. What a held-out recording shows is exempt.
+If s_c = 0, another effect is at work with c. In the choice between causes it costs what a named one does
+(:mod:`.prior`): p_c falls by P(n + 1)/P(n), where c has n ≥ 1 effects. What a withheld recording shows is exempt.
 
 With unknown torque a torque is always left, the limb's own, and its errors may lie along the motion. Neither counts
-there, and errors are those under an ample torque. A cause that does not surely improve the prediction of held-out rows
-is taken back.
+there, and errors are those under an ample torque. A cause that does not improve the prediction of withheld rows beyond
+chance is taken back.
 """
 
 from dataclasses import dataclass, replace
@@ -58,12 +59,12 @@ class Weighed:
 
     @property
     def best(self) -> FittedHypothesis:
-        """The most probable cause, whatever is left besides it."""
+        """The most probable cause, with or without a rest."""
         return next(iter(self.causes.values()))[0]
 
 
-def _alone(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> float:
-    """Posterior share of residuals under the tolerance, or little beside the one that the simulation needs.
+def share_explained(bound: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> float:
+    """Posterior share of residuals under the tolerance, or small against the one that the simulation needs.
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
@@ -96,20 +97,20 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
     confirmed = dict(zip((c.key for c in close), runs, strict=True))
     evidence = {c.key: c.log_evidence for c in ranked}
     # Filters that collapsed say less than the linearised evidence does; among the others SMC weighs, and they as a
-    # whole stand beside those that were not confirmed where the linearised evidence has them.
+    # whole keep their place among those that were not confirmed, where the linearised evidence has them.
     if all(np.isfinite(run.log_evidence) and run.log_evidence_sd < rules.max_smc_se for run in confirmed.values()):
         apart = evidence[close[0].key] - confirmed[close[0].key].log_evidence
         evidence |= {name: run.log_evidence + apart for name, run in confirmed.items()}
     score = np.array([found.score(c) + found.temper * (evidence[c.key] - c.log_evidence) for c in ranked])
     probability = np.exp(score - logsumexp(score))
     likely = probability > rules.min_probability
-    share = np.array([_alone(bound, found, c) if p else 1.0 for c, p in zip(ranked, likely, strict=True)])
+    share = np.array([share_explained(bound, found, c) if p else 1.0 for c, p in zip(ranked, likely, strict=True)])
     least = found.pool[""].log_evidence
     for i in np.flatnonzero(likely):
         j = _special(bound, ranked, ranked[i])
         if j is not None and evidence[ranked[j].key] > small * least + (1 - small) * evidence[ranked[i].key]:
             probability[j], probability[i] = probability[j] + probability[i], 0.0
-            share[j] = _alone(bound, found, ranked[j])
+            share[j] = share_explained(bound, found, ranked[j])
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
     probability = probability * np.where(rest, [another(len(c.effects), bound.rules) for c in ranked], 1.0)
@@ -154,6 +155,6 @@ def only(
     cause: FittedHypothesis,
     log_evidence: dict[str, float],
 ) -> Weighed:
-    """The one cause that there is, and what the catalogue lacks beside it."""
-    share = _alone(bound, found, cause)
+    """The one cause that there is, and what the catalogue lacks."""
+    share = share_explained(bound, found, cause)
     return Weighed({cause.key: (cause, share)}, {cause.key: 1 - share}, 1 - share, {}, log_evidence)

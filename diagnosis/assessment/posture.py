@@ -1,6 +1,6 @@
 """A body in space in one posture, as a picture shows it: joints, links and keypoints as points and lines between them.
 
-Two pictures: from the side, where it spreads widest, and from the front, a quarter of a turn on; up is against gravity.
+Two pictures: from the side, where it is widest, and from the front, a quarter of a turn on; up is against gravity.
 With P the points about their middle, and u upwards, the side's x is the first principal axis of P (E − u uᵀ).
 
 Shapes: N points, K joints, d = 3 coordinates.

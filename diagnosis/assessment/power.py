@@ -12,7 +12,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
     """Why the rows do not tell whether there is a gap; None where they do, or an effect was found in them.
 
-    An unknown torque may be of any size, and what is asked there is whether the camera shows something.
+    An unknown torque may be of any size, and the question there is whether the camera shows something.
     """
     if not problem.regime.knows_torque or found.best.effects:
         return None

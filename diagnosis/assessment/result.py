@@ -103,7 +103,7 @@ class Cause:
         effects: what is at work.
         probability: of their being at work and nothing else.
         log_evidence, log_evidence_sd: nats; the second is NaN without SMC.
-        in_part: probability of their being at work beside something that the catalogue lacks.
+        in_part: probability of their being at work with something that the catalogue lacks.
         learned: the body's own numbers that were uncertain, learned with them.
     """
 
@@ -157,7 +157,7 @@ class Outside:
     """What the catalogue does not explain.
 
     `description`: a short formula, or None; `terms` its terms, name → (coefficient, sd, unit); `gain_per_frame` the
-    nats that it gains a held-out row.
+    nats that it gains a withheld row.
     """
 
     probability: float
@@ -168,7 +168,7 @@ class Outside:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the observations' errors are like beside the best cause.
+    """What the observations' errors are like with the best cause.
 
     `factor` on the noise that the recording shows at rest; `memory`, what an error keeps of that in the row before;
     `degrees_of_freedom` of Student's t, or None for a normal law.
@@ -189,7 +189,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """How far the gap closes once the cause is in, on held-out data where `held_out`; `by_effect` of it, by key."""
+    """How far the gap closes once the cause is in, on withheld data where `held_out`; `by_effect` of it, by key."""
 
     gap_closed: float | None
     interval_90: tuple[float, float] | None
@@ -212,7 +212,7 @@ class Diagnosis:
     """All that :func:`.diagnose.diagnose` finds.
 
     `regime` is "commanded", "passive" or "unknown_torque". `ambiguity_set` lists causes that the recording cannot tell
-    apart, each as its effects' keys. `overlaps` says how alike two of them change it (:mod:`.confusability`), and
+    apart, each as its effects' keys. `overlaps` says how similarly two of them change it (:mod:`.confusability`), and
     `separating_experiment` which recording would tell them apart. `not_identifiable` lists the keys of effects that the
     recording could not have shown. `not_looked_at` counts the candidates that the search had not tried when its budget
     was spent, 0 where it was not. `screened` has every candidate's key and log evidence against "no gap", best first;

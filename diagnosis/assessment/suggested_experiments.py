@@ -1,7 +1,7 @@
 """Which recording would tell causes apart that this one does not.
 
-Each effect says what brings it out and nothing like it (:attr:`.Effect.shown_by`). Of a set of rivals all are asked
-for, the most probable one's first.
+Each effect says what brings it out and nothing like it (:attr:`.Effect.shown_by`). Of a set of rivals all are
+named, the most probable one's first.
 """
 
 from collections.abc import Sequence

@@ -3,11 +3,11 @@
 Candidate terms are functions of (θ, θ̇, θ̈, u, t), each as a torque on one joint: a column of the whitened innovations
 (:mod:`.innovations`), so that noise and gaps count for what they are worth, unlike in a regression of a differentiated
 signal. They are taken half-way from row to row, along the path that the whole recording gives, whose own errors are
-small beside what varies and enter as a bias. Terms are added one by one while the evidence rises by more than their
+small against what varies and enter as a bias. Terms are added one by one while the evidence rises by more than their
 number costs (forward selection by Bayes factor; Brunton, Proctor & Kutz 2016 use thresholded least squares for the same
-end). A coefficient's standard error is that of leaving out one stretch of rows after the other, terms chosen anew each
+end). A coefficient's standard error is that of leaving out one stretch of rows after the other, terms chosen again each
 time (jackknife: Künsch 1989, for what is correlated from row to row), for whitened rows of a wrong model are not
-independent. The gain on held-out rows is measured with coefficients from the others, of terms that all rows chose.
+independent. The gain on withheld rows is measured with coefficients from the others, of terms that all rows chose.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Formula:
-    """Result of :func:`describe`: sentence, terms name → (coefficient, sd, unit), variables, nats a held-out frame."""
+    """Result of :func:`describe`: sentence, terms name → (coefficient, sd, unit), variables, nats a withheld frame."""
 
     text: str
     terms: dict[str, tuple[float, float, str]]
@@ -101,15 +101,15 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
         return None
     size = int(np.argmax([_at(whitened, g, [chosen], sd).log_evidence[0] for g in range(len(levels))]))
     fit = _at(whitened, size, [chosen], sd)
-    spread = np.hypot(
+    errors = np.hypot(
         _scatter(whitened, size, chosen, sd, cost, problem.rules), problem.rules.outcome.path_bias * fit.mean[0]
     )
-    spread = np.maximum(np.sqrt(np.diag(fit.covariance[0])), spread)
+    errors = np.maximum(np.sqrt(np.diag(fit.covariance[0])), errors)
     named = {
         terms[i][0]: (float(mean), float(s), terms[i][2])
-        for i, mean, s in zip(chosen, fit.mean[0], spread, strict=True)
+        for i, mean, s in zip(chosen, fit.mean[0], errors, strict=True)
     }
-    text = "; ".join(f"{_told(mean, s)}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
+    text = "; ".join(f"{_written(mean, s)}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
     variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
     return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd, problem.rules))
 
@@ -199,7 +199,7 @@ def _scatter(
     return np.sqrt((len(found) - 1) * found[:, chosen].var(axis=0))
 
 
-def _told(mean: float, sd: float) -> str:
+def _written(mean: float, sd: float) -> str:
     """A coefficient to the digits that its standard error, more than 0, supports: "-0.30 ± 0.01"."""
     places = decimals(sd)
     return f"{round(mean, places):+.{max(places, 0)}f} ± {round(sd, places):.{max(places, 0)}f}"

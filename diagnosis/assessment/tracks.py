@@ -21,7 +21,7 @@ class Tracks:
         nominal_replay, corrected_replay: (T, S, d) m, sites in open-loop replays, set back to the smoothed state every
             `replay_window` s.
         smoothed: (T, S, d) m, sites under the corrected simulation.
-        residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its spread.
+        residual_before, residual_after: (T, K) N·m mean of the residual torque's posterior; `…_sd` its sd.
         frame_gap: (T,) nats, what the corrected simulation predicts each frame better by; NaN where nothing was seen.
     """
 

@@ -3,11 +3,11 @@
 Its parameters' posterior is the prior there, N(μ, LLᵀ). The path is whichever of a few has the highest predictive
 score (:mod:`.predict`), under the residual that the first recording needs. With one-step prediction errors w_s of each
 size s of the residual (:mod:`.whiten`), linear in z ~ N(0, I), and an unknown noise scale, evidence by size is that of
-a regression (:mod:`.evidence`). A cause that explained the first recording, and for which a residual surely gains
-evidence here (:func:`.pool.leaves`), imitated there what else was at work: two recordings move otherwise.
+a regression (:mod:`.evidence`). A cause that explained the first recording, and for which a residual gains
+evidence here beyond chance (:func:`.pool.leaves`), imitated there what else was at work: two recordings move otherwise.
 
-No camera sees by how many whole turns a joint has been turned, but a spring, a cable and a stop feel it: what rests at
-−3.5 rad in one recording rests at 2.8 rad in another whose angles begin in the next turn.
+No camera sees how many whole turns a joint has made, but a spring, a cable and a stop depend on it: what is at rest at
+−3.5 rad in one recording is at 2.8 rad in another whose angles begin in the next turn.
 
 Shapes: T rows, D states.
 """
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import led, lifted
+from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.prediction.predict import posterior_columns, scores, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
@@ -36,7 +36,7 @@ def carried(
 ) -> FittedHypothesis:
     """``cause``, found in ``problem``, with its model and path on another recording.
 
-    ``start`` (T, D) is the path that the other recording's data ask for (:func:`.continuation.data_path`).
+    ``start`` (T, D) is the other recording's data path (:func:`.continuation.data_path`).
     Gauss–Newton by itself may end in a poor one, and so may a homotopy; where joints stick, also one after the
     other. Raises CannotFollow where no path can be followed.
     """
@@ -44,22 +44,22 @@ def carried(
     steps, tolerance = other.rules.descent.transfer_steps, other.rules.descent.path_tolerance
     rows, seen = np.ones(len(start), bool), other.observations.isfinite().any(-1).numpy()
 
-    def along(begun: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
-        start = begun.path if by_itself else led(other, begun.model, begun.path, size)
-        quiet = other.with_residual(max(size, other.min_size), begun.model)
-        return replace(begun, path=gauss_newton_path(quiet, other.observations, start, steps, tolerance))
+    def along(first: FittedHypothesis, *, by_itself: bool) -> FittedHypothesis:
+        start = first.path if by_itself else continued(other, first.model, first.path, size)
+        quiet = other.with_residual(max(size, other.min_size), first.model)
+        return replace(first, path=gauss_newton_path(quiet, other.observations, start, steps, tolerance))
 
     def score(there: FittedHypothesis | None) -> float:
         found = None if there is None else attempt(scores, other, there, rows)
         total = np.nan if found is None else found.score[seen].sum()
         return float(total) if np.isfinite(total) else -np.inf
 
-    begun = replace(cause, model=model, path=lifted(model, start))
-    starts = [begun, *whole_turns_away(begun)]
+    first = replace(cause, model=model, path=lifted(model, start))
+    starts = [first, *whole_turns_away(first)]
     tried = [attempt(along, each, by_itself=True) for each in starts]
     best = int(np.argmax([score(each) for each in tried])) if len(tried) > 1 else 0
-    begun, own = starts[best], tried[best]
-    tried = [own, attempt(along, begun, by_itself=False)]
+    first, own = starts[best], tried[best]
+    tried = [own, attempt(along, first, by_itself=False)]
     if model.effects.abrupt and own is not None:
         tried.append(attempt(along, own, by_itself=False))
     worth = [score(each) for each in tried]
@@ -95,7 +95,7 @@ def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
 
 
 def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedHypothesis) -> bool:
-    """Whether a cause surely leaves something on another recording, to which both were carried."""
+    """Whether a cause leaves something beyond chance on another recording, to which both were carried."""
     # What happened at some moment of the first recording does not happen in another.
     if any(effect.dated for effect in cause.effects):
         return False

@@ -1,1 +1,1 @@
-"""What a log can be asked, and what is wrong with it, in seconds and before causes."""
+"""What a log can show, and what is wrong with it, in seconds and before causes."""

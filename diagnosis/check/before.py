@@ -1,4 +1,4 @@
-"""What is asked before a diagnosis begins, in a second: whether the recording is what it says it is.
+"""What is tested before a diagnosis begins, in a second: whether the recording is what it says it is.
 
 One rule decides: a mistake that is sure is refused, any other is said in a line. It is not sure where an effect of the
 catalogue, of a size that its prior expects, looks like it (:func:`_looks_like`): to tell those two apart is what a
@@ -22,13 +22,13 @@ def check_before(
     force: bool = False,
     rules: Rules = DEFAULT,
 ) -> None:
-    """Raise InputError for what is surely a mistake; warn of one that is not sure, or may be an effect.
+    """Raise InputError for what is certainly a mistake; warn of one that is not sure, or may be an effect.
 
     By ``force`` nothing is raised: what would be is warned of.
 
-    Surely: numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and less
-    than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused where a
-    `Reading` says what was declared. A `Recording` is in SI units by its own account, so a warning says it.
+    Certain are numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and
+    less than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused
+    where a `Reading` says what was declared. A `Recording` is in SI units by its own account, so a warning says it.
 
     Each mistake is found with those before it put right. So the first alone can be sure: if it is none, but an effect,
     the others may be none either, and are said. So are torques far from the motion of encoders that nothing explains.
@@ -61,11 +61,11 @@ def check_before(
 
 
 def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None:
-    """The effect that a mistake may be. None is like a gear: no motor gives twice of what it is told, or more."""
+    """The effect that a mistake may be. None is like a gear: no motor gives twice its command, or more."""
     if wrong.kind == "scale" and rules.check.min_motor_limit < wrong.value < 1:
         return "a motor at its limit"
     if wrong.kind == "offset":
-        return "a spring's torque, a stop's, or a marker aside"
+        return "a spring's torque, a stop's, or a shifted marker"
     if wrong.kind == "zero" and wrong.joints == body.joint_names[:1] and abs(wrong.value) < rules.check.max_tilt:
         return "gravity that is tilted"
     return None
@@ -74,6 +74,6 @@ def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None
 def _sure(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> bool:
     """As :mod:`..problem.conventions` is: of signs only under gravity. A gear has a gear's size."""
     sure = rules.check.sure_misfit
-    told = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
-    told &= wrong.kind != "scale" or wrong.value < rules.check.max_gear
-    return told and wrong.before >= sure and wrong.after <= min(rules.check.sure_remaining * wrong.before, sure)
+    certain = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
+    certain &= wrong.kind != "scale" or wrong.value < rules.check.max_gear
+    return certain and wrong.before >= sure and wrong.after <= min(rules.check.sure_remaining * wrong.before, sure)

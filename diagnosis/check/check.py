@@ -22,14 +22,14 @@ from invdyn.recordings import InputError, Recording
 from invdyn.recordings.reading import Reading
 
 BY_TORQUES = "signs, zeros, exchanged columns and gears of joints"
-"""What torques beside a motion tell."""
+"""What torques along a motion show."""
 
 
 @dataclass(frozen=True)
 class Wrong:
     """A mistake in the words of the user: its kind, the joints' names, what, the remedy, and what else it might be.
 
-    `before` and `after` are the shares of the torque that the motion does not ask for, NaN where no torque tells.
+    `before` and `after` are the shares of the torque that the motion does not need, NaN without torques.
     """
 
     kind: str
@@ -50,11 +50,11 @@ class Wrong:
     def sentence(self) -> str:
         """One line."""
         where = f"at joint {' and '.join(map(repr, self.joints))} " if self.joints else ""
-        told = ""
+        missed = ""
         if np.isfinite(self.before):
-            told = f" (the torques miss {100 * self.before:.0f} % of their size, {100 * self.after:.0f} % then)"
+            missed = f" (the torques miss {100 * self.before:.0f} % of their size, {100 * self.after:.0f} % then)"
         or_else = "".join(f"; or {other}" for other in self.others)
-        return f"{where}{self.words}{told}: {self.remedy}{or_else}"
+        return f"{where}{self.words}{missed}: {self.remedy}{or_else}"
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class Check:
         unexplained: share of the torque, 0 to 1, that the body and its friction leave; None without torques.
         by_joint: the same of each joint.
         excited: base parameters, best known first.
-        visible: effects; None where the log must be put right first, or nobody asked.
-        not_looked_at: what only torques beside a motion tell, and why this log does not; None where it was looked at.
+        visible: effects; None where the log must be put right first, or where they are not wanted.
+        not_looked_at: what only torques along a motion show, and why this log does not; None where it was tested.
         dropped: whether a mistake was found whose remedy leaves more of a joint's torques than a right log does.
     """
 
@@ -130,11 +130,11 @@ def check(
     log and body have nothing to do with each other: other joints, or nothing observed.
     """
     reading = Reading(recording) if isinstance(recording, Recording) else recording
-    told, units_wrong, reading = wrong_units(reading, body, rules)
+    implausible, units_wrong, reading = wrong_units(reading, body, rules)
     recording = reading.recording
     mistakes = [_in_words(each, body.joint_names) for each in units_wrong]
-    if told is not None and not units_wrong:
-        mistakes.append(Wrong("refused", (), told, "see there", float("nan")))
+    if implausible is not None and not units_wrong:
+        mistakes.append(Wrong("refused", (), implausible, "see there", float("nan")))
     left: Explained | None = None
     dropped = False
     base: list[BaseParameter] = []
@@ -182,7 +182,7 @@ def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear
 
 
 def _motion(reading: Reading, body: ArticulatedBody, rules: Rules) -> Motion | None:
-    """Motion and torques under the window in which they explain most, whatever is wrong with them; None of neither."""
+    """Motion and torques under the window in which they explain most, right or wrong; None of neither."""
     every = motions(reading, body, rules)
     if not every:
         return None
@@ -204,11 +204,11 @@ def _motion(reading: Reading, body: ArticulatedBody, rules: Rules) -> Motion | N
 def _in_words(mistake: Mistake, joints: Sequence[str], found: Found | None = None) -> Wrong:
     """A mistake with its joints' names; where torques tell, what they miss before and after, and what else it is."""
 
-    def told(other: Mistake) -> str:
+    def words(other: Mistake) -> str:
         return f"at {' and '.join(joints[k] for k in other.joints)} {other.words}" if other.joints else other.words
 
     wrong = Wrong(mistake.kind, tuple(joints[k] for k in mistake.joints), mistake.words, mistake.remedy, mistake.value)
     if found is None:
         return wrong
-    others = tuple(dict.fromkeys(told(other) for other in found.others))[:2]
+    others = tuple(dict.fromkeys(words(other) for other in found.others))[:2]
     return replace(wrong, before=found.before, after=found.after, others=others)

@@ -1,7 +1,7 @@
 """What a motion tells of the numbers that inverse dynamics are linear in: base parameters (Gautier & Khalil 1990).
 
 Columns of the regressor, each a link's m, m c or J or a joint's friction or rotor, are taken one by one, those that
-add most first (QR with pivoting: Gautier 1991). What adds nothing is told with others alone, in the combination that
+add most first (QR with pivoting: Gautier 1991). What adds nothing is known with others alone, in the combination that
 its column is. A base parameter's sd follows from what the torques leave, as correlated as its window makes it.
 
 Shapes: R rows, K joints, P columns.
@@ -27,7 +27,7 @@ from invdyn.models.dynamics.interface import Dynamics
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """What is told together: `parts`, name → factor, the first of which is 1; its nominal value, sd and unit."""
+    """What is known together: `parts`, name → factor, the first of which is 1; its nominal value, sd and unit."""
 
     parts: dict[str, float]
     value: float

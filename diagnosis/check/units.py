@@ -1,9 +1,9 @@
-"""Units of a log that are wrong: by the size of its numbers, and by its torques where somebody said the unit.
+"""Units of a log that are wrong: by the size of its numbers, and by its torques where the unit was declared.
 
-A unit that nobody declared is wrong where its numbers cannot be the body's, and can in another one
-(:mod:`..problem.mistakes`). One that was declared is wrong where, beside that, the torques are far from what the motion
-asks for, and near it in the other unit. One mistake comes before two; of several that will do, that one is taken with
-which the torques fit best.
+A unit that was not declared is wrong where its numbers cannot be the body's, and can in another one
+(:mod:`..problem.mistakes`). One that was declared is wrong where, besides that, the torques are far from what the
+motion asks for, and near it in the other unit. One mistake comes before two; of several that will do, that one is taken
+with which the torques fit best.
 
 Numbers of a mapping within ±100 may be degrees, or say how far each joint is in its range (LeRobot's usual unit). Only
 torques tell these two apart. Numbers that end at ±100, or at 0 and 100, are no degrees.
@@ -42,15 +42,15 @@ def wrong_units(
     recording, limits = reading.recording, rules.check
     if _rows(recording) < rules.recording.min_rows:  # too few to tell a pace by
         return None, (), reading
-    told = _implausible(recording, body, reading.units)
-    if told is None and _implausible(recording, body, Units()) is None:
+    implausible = _implausible(recording, body, reading.units)
+    if implausible is None and _implausible(recording, body, Units()) is None:
         return None, (), reading
-    if _shifted(recording, body, reading.units) is not None:  # of one joint, and told by its own line
-        return told, (), reading
+    if _shifted(recording, body, reading.units) is not None:  # of one joint, and read from its own line
+        return implausible, (), reading
     found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
         if found and len(tried) > len(found[0][1]):
-            break  # one mistake is likelier than two, whatever the torques say
+            break  # one mistake is more probable than two
         scales: dict[str, float] = {}
         for mistake in tried:
             scales |= mistake.scales
@@ -61,15 +61,17 @@ def wrong_units(
         if _implausible(righted.recording, body, Units()) is None:
             found.append((_missed(righted, body, rules), tried, righted))
     if not found:
-        return told, (), reading
+        return implausible, (), reading
     # the first one where no torque tells
     missed, mistakes, righted = min(found, key=lambda each: each[0])
-    if told is None and not missed < min(limits.max_remaining * _missed(reading, body, rules), limits.max_right_misfit):
+    if implausible is None and not missed < min(
+        limits.max_remaining * _missed(reading, body, rules), limits.max_right_misfit
+    ):
         return None, (), reading
     degrees = any(mistake.kind == "degrees" for mistake in mistakes)
     if degrees and (shares := _shares(reading, body, 0 < missed < limits.degrees_misfit, rules)) is not None:
-        return told, (shares,), reading
-    return told, mistakes, righted
+        return implausible, (shares,), reading
+    return implausible, mistakes, righted
 
 
 def _rows(recording: Recording) -> int:
@@ -154,8 +156,8 @@ def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
 
 def _implausible(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
     """What speaks against the size of the numbers; None for nothing."""
-    if (told := _shifted(recording, body, units)) is not None:
-        return told
+    if (implausible := _shifted(recording, body, units)) is not None:
+        return implausible
     turning = [name not in slides(body) for name in recording.joint_names]
     try:
         angles = None if recording.angles is None else np.where(turning, recording.angles, np.nan)

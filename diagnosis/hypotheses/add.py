@@ -1,4 +1,4 @@
-"""The move to add: one more effect beside a base; all that may join are screened, the most promising refined.
+"""The move to add: one more effect with a base; all that may join are screened, the most promising refined.
 
 The screen is along the base's path; of the first effect of all along the simulation's own, too. A refinement costs some
 twenty times what a screen does, and the screen errs: by a few nats where a base leaves nothing, elsewhere the more,
@@ -8,11 +8,11 @@ it may gain, by
     s + max(60, 9 s)     where nothing explains the gap yet,      s + max(60, s)     where something does,
 
 of s nats in the screen, is as much as what the screen's best gains. One that would need values beyond what is plausible
-is refined in its softer form, too: they may stand for what the ideal law lacks. Then come the neighbours
+is refined in its regularised form, too: they may stand for what the ideal law lacks. Then come the neighbours
 (:mod:`.swap`), and effects whose parameters are searched (:mod:`.profile_likelihood`).
 
-With a torque that nobody knows, one that only the camera shows must gain more than what a torque could do as well,
-unless errors of prediction show that something is left whatever the torque does: a large effect on what is seen bends
+With an unknown torque, one that only the camera shows must gain more than what a torque could do as well,
+unless errors of prediction show that something is left with any torque: a large effect on what is seen bends
 the path that the screen is along, and what one on the motion gains is the torque's prior's mistake.
 """
 
@@ -27,7 +27,7 @@ from invdyn.diagnosis.hypotheses.expected_gain import needed
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import fair_chance, follow_neighbours, softer
+from invdyn.diagnosis.hypotheses.swap import early_stop_limits, follow_neighbours, regularised
 from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -50,7 +50,7 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
     width = limits.max_candidates_added if others(base) else limits.max_candidates_alone
     refined = refine_best(problem, found, base, screened, width)
     follow_neighbours(problem, found, number)
-    least = -np.inf if known else idle(screened)
+    least = -np.inf if known else best_imitable_evidence(screened)
     if not known and show_more(problem, found.best, prediction_errors(problem, found.best)):
         tried = {s.effect.key for s in refined}
         barred = [s for s in _seen(screened, problem.rules) if s.effect.key not in tried]
@@ -62,13 +62,13 @@ def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis
 
 
 def screened_with(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
-    """The screen beside ``base`` along its path; of the first effect of all, each where it does best."""
+    """The screen with ``base`` along its path; of the first effect of all, each where it does best."""
     free, (model, common, point) = free_beside(found, base.effects), expanded_about(problem, base)
     path, few = (base.path if base.effects else found.path), base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
-    if not others(base) and not few and found.aside is not None:
-        parts = [partial(screen, problem, model, along, free, common, point) for along in (path, found.aside)]
-        return _aside(*side_by_side(parts, found.workers, problem.budget))
+    if not others(base) and not few and found.simulation_path is not None:
+        parts = [partial(screen, problem, model, along, free, common, point) for along in (path, found.simulation_path)]
+        return _better_of(*side_by_side(parts, found.workers, problem.budget))
     return screen_in_halves(found.workers, problem, model, path, free, common, point, few)
 
 
@@ -80,13 +80,13 @@ def free_beside(found: HypothesisPool, taken: Sequence[Effect], *but: Effect) ->
     return [e for e in free if not (busy and isinstance(e, HiddenHinge))]
 
 
-def _aside(along: Sequence[Screened], aside: Sequence[Screened]) -> list[Screened]:
-    """Effects, and none, stand where they do best: along the data's path, or ``aside``, along the simulation's own.
+def _better_of(along: Sequence[Screened], simulated: Sequence[Screened]) -> list[Screened]:
+    """Effects, and none, where they do best: along the data's path, or along the simulation's own.
 
-    A large residual lets the arm follow the data, noise and all: what the camera makes of them shows beside a path
+    A large residual lets the arm follow the data, noise and all: what the camera makes of them shows along a path
     that does not, and so does a small inertia, which acceleration brings out.
     """
-    other = {s.effect and s.effect.key: s for s in aside}
+    other = {s.effect and s.effect.key: s for s in simulated}
     best = [max(s, other[s.effect and s.effect.key], key=lambda s: s.log_evidence) for s in along]
     return sorted(best, key=lambda s: -s.log_evidence)
 
@@ -109,7 +109,7 @@ def _seen(screened: Sequence[Screened], rules: Rules) -> list[Added]:
 
 
 def _may_show(s: Added, nothing: float, rules: Rules) -> bool:
-    """Whether an effect gains anything, or has a softer form, which may where the ideal law explains nothing."""
+    """Whether an effect gains anything, or has a regularised form, which may where the ideal law explains nothing."""
     return s.log_evidence > nothing + rules.search.screen_error or s.effect.softened() is not None
 
 
@@ -124,13 +124,15 @@ def refine_best(
     if problem.regime.knows_torque:
         wanted = _promising(found, base, screened)
     else:
-        wanted = [s for s in _seen(screened, problem.rules) if s.log_evidence > idle(screened)]
+        wanted = [s for s in _seen(screened, problem.rules) if s.log_evidence > best_imitable_evidence(screened)]
     few, refined, size = wanted[:width], list[Added](), problem.rules.search.batch_size
     for pair in (few[:1], *(few[i : i + size] for i in range(1, len(few), size))):
         gain = screened[0].log_evidence - nothing
         least = nothing + needed(gain, explained=found.best.complete, rules=problem.rules)
         pair = [each for each in pair if not refined or each.log_evidence >= least]
-        found.add_all(problem, [partial(_refined, problem, base, each, fair_chance(found, base)) for each in pair])
+        found.add_all(
+            problem, [partial(_refined, problem, base, each, early_stop_limits(found, base)) for each in pair]
+        )
         refined += pair
     return refined
 
@@ -145,7 +147,7 @@ def _refined(
         effects = (*base.effects, each.effect)
         cause = attempt(refine, problem, effects, values, each.path, each.size, **base.searched, **limits)
         if cause is not None and not cause.plausible and cause.log_evidence > limits.get("enough", -np.inf):
-            cause = softer(problem, cause, each.effect, **limits) or cause
+            cause = regularised(problem, cause, each.effect, **limits) or cause
         if cause is not None:
             refined.append(cause)
             if cause.complete:
@@ -154,17 +156,17 @@ def _refined(
 
 
 def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, least: float) -> None:
-    """Search parameters that no column describes beside ``base``: of what changes the scatter alone, and of play.
+    """Search parameters that no column describes: of what changes the scatter alone, and of backlash.
 
-    Each is given up under ``least`` nats, scatter also far behind the best cause. Play takes minutes: it is looked for
-    beside no effect or one that does not stick, if nothing else explains the gap, or a small one, as what gains little
-    play may imitate, or be imitated by. It must make good a share of what its base is behind.
+    Each is given up under ``least`` nats, scatter also far behind the best cause. Backlash takes minutes: it is tried
+    with no effect or one that does not stick, if nothing else explains the gap, or a small one, as backlash may imitate
+    a small gain. It must make up for a share of what its base is behind.
     """
-    beside, behind = others(base), found.top - base.log_evidence
+    known, behind = others(base), found.top - base.log_evidence
     errs = problem.rules.search.large_screen_error
-    slips = len(beside) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
-    # Beside what explains less than stray detections do, they come first.
-    slips = slips and (not beside or base.log_evidence > found.cleaned - errs)
+    slips = len(known) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
+    # Outliers come before what explains less than they do.
+    slips = slips and (not known or base.log_evidence > found.cleaned - errs)
     slips = slips and not (found.explained and ((base.effects and base.complete) or behind > errs))
 
     def searched(effect: Effect) -> list[FittedHypothesis | None]:
@@ -178,11 +180,11 @@ def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: Fitte
     keys = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in keys and is_searched(e)]
     free = [e for e in free if slips or not isinstance(e, HiddenHinge)]
-    free = [e for e in free if found.stray or e.name not in MISTAKES]
+    free = [e for e in free if found.has_outliers or e.name not in MISTAKES]
     found.add_all(problem, [partial(searched, effect) for effect in free])
 
 
-def idle(screened: Sequence[Screened]) -> float:
+def best_imitable_evidence(screened: Sequence[Screened]) -> float:
     """The highest evidence of effects that an unknown torque imitates: so many nats its prior gives for nothing."""
     return max(s.log_evidence for s in screened if s.effect is None or imitable(s.effect))
 

@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> T | None:
-    """Such as a refinement; None where it leads to parameters with which the simulation does not run at all, to
+    """Such as a refinement; None where it ends at parameters with which the simulation does not run at all, to
     effects that no simulation has together, or where the budget is spent.
     """
     try:

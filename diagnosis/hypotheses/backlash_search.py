@@ -1,7 +1,7 @@
-"""Play beside a base: its width, by the evidence of a path of its own for each.
+"""Backlash added to a base: its width, by the evidence of a path of its own for each.
 
-What play does hangs on when its gap is crossed, and along the path of another width, or of none, that shows little of
-what it explains. So each width gets a path that is led to it from the base's (:func:`.continuation.led`), along
+Backlash acts when its gap is crossed, and along the path of another width, or of none, little shows of what it
+explains. So each width gets a path of its own by a homotopy from the base's (:func:`.continuation.continued`), along
 which the base's unknowns are refined. The evidence there is smooth in the width's logarithm and has one top, far
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from it too. Steps lead there, then parabolas,
@@ -20,7 +20,7 @@ import torch
 from scipy.special import logsumexp
 
 from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import led, lifted
+from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import grid, log_density_of
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
@@ -35,11 +35,11 @@ from invdyn.models.effects.base import Effect, Parameter
 
 
 @dataclass
-class Play:
-    """Play of a joint beside a base, at any width.
+class BacklashFit:
+    """Backlash of a joint added to a base, at any width.
 
     Attributes:
-        problem, base, effect: what is diagnosed, the cause that play joins, and play of one joint, bound.
+        problem, base, effect: what is diagnosed, the cause that backlash joins, and that of one joint, bound.
         parameter: its width, rad.
         tried: cause by width; None where the simulation does not run.
     """
@@ -61,7 +61,7 @@ class Play:
         return max((c for c in self.tried.values() if c is not None), key=lambda c: c.log_evidence, default=None)
 
     def model(self, width: float) -> ArmModel:
-        """The base's with play of a width, rad."""
+        """The base's with backlash of a width, rad."""
         model = self.base.model.with_effects(self.effect)
         return model.replace(**{f"effect.{self.name}": torch.tensor([width], dtype=torch.float64)})
 
@@ -78,7 +78,7 @@ class Play:
         return gained
 
     def refined(self, width: float) -> FittedHypothesis:
-        """The base's unknowns, from those of the nearest width, along a path that is led to this one.
+        """The base's unknowns, from those of the nearest width, along a path from a homotopy.
 
         Or along the best one's own, if that is near.
         """
@@ -91,7 +91,7 @@ class Play:
         ):
             path = self.best.path
         else:
-            path = led(self.problem, model, lifted(model, self.base.path), self.problem.min_size)
+            path = continued(self.problem, model, lifted(model, self.base.path), self.problem.min_size)
         values = nearest.values | {self.name: width}
         size, rounds = self.problem.min_size, self.problem.rules.descent.width_rounds
         return refine(self.problem, effects, values, path, size, **self.base.searched, rounds=rounds)
@@ -100,7 +100,7 @@ class Play:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
         width = min(float(np.exp(log_width)), bounds(self.parameter, self.problem.rules)[1])
         if width not in self.tried:
-            self.problem.budget.ask(key_of((*self.base.effects, self.effect)))
+            self.problem.budget.start(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
         cause = self.tried[width]
         return (
@@ -110,17 +110,17 @@ class Play:
         )
 
 
-def refine_play(
+def refine_backlash(
     problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float = -np.inf
 ) -> FittedHypothesis | None:
-    """``base`` and play; None if nothing is gained, or if what was looked at first stays under ``enough`` nats."""
+    """``base`` and backlash; None if nothing is gained, or if the first widths stay under ``enough`` nats."""
     (parameter,), points = grid(effect, problem.model.scale, problem.rules)
-    play, widths = Play(problem, base, effect, parameter), [width for (width,) in points]
+    fit, widths = BacklashFit(problem, base, effect, parameter), [width for (width,) in points]
     least = max(base.log_evidence + problem.rules.search.min_gain, enough)
-    # Where a base leaves nothing, what play gains rises with its width: two small ones tell whether to look for more.
-    if base.complete and max(play.along_base(widths[1:4:2])) < least:
+    # Where a base leaves nothing, what backlash gains rises with its width: two small ones show whether to try more.
+    if base.complete and max(fit.along_base(widths[1:4:2])) < least:
         return None
-    gained = play.along_base(widths)
+    gained = fit.along_base(widths)
     if max(gained) < least:
         return None
     # What the narrowest gap explains as well as any, and as the next one, is none of the gap's.
@@ -131,22 +131,22 @@ def refine_play(
         return None
     start = float(np.log(widths[int(np.argmax(gained))]))
     for step in (0.0, problem.rules.descent.width_step, -problem.rules.descent.width_step):
-        play.score(start + step)
-    if play.best is None or play.best.log_evidence < least:
+        fit.score(start + step)
+    if fit.best is None or fit.best.log_evidence < least:
         return None
-    top, variance = summit(play.score, start, problem.rules)
-    if not play.best.complete:
+    top, variance = summit(fit.score, start, problem.rules)
+    if not fit.best.complete:
         wider = max(
-            (float(np.log(width)) for width in widths if width > problem.rules.descent.wide_backlash), key=play.score
+            (float(np.log(width)) for width in widths if width > problem.rules.descent.wide_backlash), key=fit.score
         )
-        if play.score(wider) > play.score(top):
-            top, variance = summit(play.score, wider, problem.rules)
-    play.score(top)
-    cause = play.best
-    width = cause.noise[play.name]
+        if fit.score(wider) > fit.score(top):
+            top, variance = summit(fit.score, wider, problem.rules)
+    fit.score(top)
+    cause = fit.best
+    width = cause.noise[fit.name]
     integral = log_density_of([parameter], np.array([width])) + 0.5 * float(np.log(2 * np.pi * variance))
     noise_log = base.noise_log | {effect.key: integral}
-    noise_sd = base.noise_sd | {play.name: width * float(np.sqrt(variance))}
+    noise_sd = base.noise_sd | {fit.name: width * float(np.sqrt(variance))}
     evidence, by_size = cause.log_evidence + integral, cause.by_size + integral
     found = replace(cause, log_evidence=evidence, by_size=by_size, noise_log=noise_log, noise_sd=noise_sd)
     if not found.names:

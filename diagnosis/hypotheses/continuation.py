@@ -1,7 +1,7 @@
-"""Paths that refinements start from: what the data ask for, whatever the cause; and from one cause's path to another's.
+"""Paths that refinements start from: that of the data, for any cause; and from one cause's path to another's.
 
 Gauss–Newton finds the path of highest density near where it starts. A first one is had under a large residual, which
-lets the arm follow the data under any simulation, with heavy tails where there are stray detections.
+lets the arm follow the data under any simulation, with heavy tails where there are outliers.
 """
 
 import torch
@@ -16,21 +16,21 @@ from invdyn.models.fixed_point import settled
 
 
 def data_path(problem: DiagnosisProblem) -> tuple[Tensor, bool]:
-    """The path that the data ask for: the simulation under a large residual, robust against stray detections.
+    """The data's path: the simulation under a large residual, robust against outliers.
 
     And whether there are any.
     """
-    loose = problem.with_residual(problem.regime.loose)
-    path = gauss_newton(loose, problem.observations).path
+    free = problem.with_residual(problem.regime.path_size)
+    path = gauss_newton(free, problem.observations).path
     rows = torch.arange(len(path))
     with torch.no_grad():
-        seen = loose.emission(path, rows).base_dist
+        seen = free.emission(path, rows).base_dist
         far = ((problem.observations - seen.loc) / seen.scale).abs() > problem.rules.recording.path_outlier_sds
     if not bool(far.any()):
         return path, False
-    # What jumps has led the first path to where it is: it must not be what the second one starts from.
-    start = gauss_newton(loose, problem.usual).path
-    return gauss_newton(_heavy_tailed(loose), problem.observations, start=start).path, True
+    # Outliers have bent the first path: the second one must not start from there.
+    start = gauss_newton(free, problem.usual).path
+    return gauss_newton(_heavy_tailed(free), problem.observations, start=start).path, True
 
 
 def _heavy_tailed(model: ArmModel) -> ArmModel:
@@ -39,29 +39,29 @@ def _heavy_tailed(model: ArmModel) -> ArmModel:
     return other.replace(**{"emission.df": torch.full((1,), 3.0, dtype=model.dtype)})
 
 
-def led(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
+def continued(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
     """A path (T, D) under ``model`` and a residual of ``size`` from one of another cause, by a homotopy.
 
-    Where joints stick or gears have play, Gauss–Newton by itself ends in a path that no parameters make good. With
+    Where joints stick or gears have backlash, Gauss–Newton by itself ends in a path that no parameters make good. With
     much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
     """
     names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
     for slack in problem.rules.descent.lead_slack:
-        loose = model.replace(**{name: slack * model.parameters[name] for name in names})
+        noisy = model.replace(**{name: slack * model.parameters[name] for name in names})
         quiet = problem.with_residual(
-            min(max(problem.regime.loose, size), max(size, problem.min_size) * slack ** (2 / 3)), loose
+            min(max(problem.regime.path_size, size), max(size, problem.min_size) * slack ** (2 / 3)), noisy
         )
         path = gauss_newton_path(
             quiet, problem.observations, path, problem.rules.descent.lead_steps, problem.rules.descent.path_tolerance
         )
-        problem.budget.spend(problem.rules.descent.lead_steps, loose, len(path))
+        problem.budget.spend(problem.rules.descent.lead_steps, noisy, len(path))
     return path
 
 
-def firmed(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
+def with_smaller_residual(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float) -> Tensor:
     """A path (T, D) under ``model`` and a smaller residual, of ``size``, than it was found with.
 
-    Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need to be led,
+    Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need a homotopy,
     and the better of both paths is taken.
     """
     quiet = problem.with_residual(max(size, problem.min_size), model)
@@ -71,7 +71,7 @@ def firmed(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: float
     problem.budget.spend(FIXED.firm_cost, model, len(path))
     if not model.effects.abrupt:
         return own
-    other = led(problem, model, path, size)
+    other = continued(problem, model, path, size)
     with torch.no_grad():
         better = quiet.log_joint(own, problem.observations) >= quiet.log_joint(other, problem.observations)
     return own if better else other

@@ -3,15 +3,15 @@
 A robot, or an engine of high order, moves as the equations say. An engine that takes steps of h as the file asks for
 (:mod:`invdyn.models.bodies.joint_parts`) errs by h/2 of the commands' rate. With a stiff servo that is like a damper,
 
-    τ = u(t + h/2) − u(t) ≈ h/2 K ċ,        of a servo that is told targets c, ċ ≈ θ̇,
+    τ = u(t + h/2) − u(t) ≈ h/2 K ċ,        of a servo with targets c, ċ ≈ θ̇,
 
 and would be taken for one. Both laws are as probable before, and neither is a cause. Under the law whose "no effect" is
-likelier the search is made. The best cause, its parts and "no effect" are then held against the other law, and where
+likelier the search is made. The best cause, its parts and "no effect" are then compared with the other law, and where
 one of them is likelier there, the search is made under that as well:
 
     log p(y | cause, law) + log P(cause)
 
-Where "no effect" leaves nothing of the equations themselves, no engine is asked for.
+Where "no effect" leaves nothing of the equations themselves, no engine is tried.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ def search_either(
     own, other = problem, problem.in_engine_steps()
     if other is own:
         return own, search(own)
-    alone = attempt(refine, own, (), {}, path, own.regime.loose)
+    alone = attempt(refine, own, (), {}, path, own.regime.path_size)
     if alone is None or alone.complete:
         return own, search(own)
     stepped = attempt(refine, other, (), {}, alone.path, best_size(own, alone))

@@ -1,6 +1,6 @@
 """The move to exchange: any effect in the place of one of a set's, along the path that the set has found.
 
-Forward selection goes astray where effects are alike or imitate others together; sequential replacement mends it
+Forward selection fails where effects are similar or imitate others together; sequential replacement repairs it
 (Miller 2002, "Subset selection in regression", ch. 3). Neighbours (:mod:`.swap`) are what an effect declares; here all
 others are tried.
 """
@@ -26,14 +26,14 @@ from invdyn.models.effects.base import Effect
 def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> None:
     """Look for a better effect in place of each of the best set's, along the path that it has found.
 
-    Where Gauss–Newton goes astray, one of several effects that are alike may be the only one to arrive; and of effects
+    Where Gauss–Newton fails, one of several similar effects may be the only one to converge; and of effects
     that imitate others together, none gives way while the rest stay. Where one leaves nothing, those that would leave
     as little have arrived.
     """
     for old in best.effects:
         base = best.less(problem, old)
         if is_searched(old) or base.model.jumping is not None:
-            continue  # play leaves no path that a screen could be along
+            continue  # backlash leaves no path that a screen could be along
         free = free_beside(found, base.effects, old)
         if best.complete and not base.effects:
             arrived = {cause.key for cause in found.pool.values() if cause.complete}
@@ -58,7 +58,7 @@ def exchange(problem: DiagnosisProblem, found: HypothesisPool, best: FittedHypot
 
 
 def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:
-    """Effects that, where nothing else was in, gained a fair share of what the best one did; all, if nobody knows."""
+    """Effects that, where nothing else was in, gained a share of what the best one did; all, if that is unknown."""
     gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
     if not gained:
         return list(effects)

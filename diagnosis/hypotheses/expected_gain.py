@@ -4,7 +4,7 @@ The screen is linear along one path; a refinement costs some twenty times as muc
 over its base in the screen, and r that its refinement gains, `python benchmarks/expected_gain.py` measures r − s and
 r/s on development cases. Nineteen in twenty (99 in 100) stay under
 
-    r − s      3 (6) nats      beside a base that leaves nothing, of s up to 5
+    r − s      3 (6) nats      with a base that leaves nothing, of s up to 5
                41 (430) nats   elsewhere, of s up to 60
     r/s        3 (3)           of s between 60 and 1000
 

@@ -1,15 +1,15 @@
-"""The law of a tracker's noise: where stray detections were found, heavy tails may say them better.
+"""The law of a tracker's noise: where outliers were found, heavy tails may describe them better.
 
-Student's t with ν degrees of freedom, one for both coordinates of a detection (:mod:`.multivariate_t`), stands beside
+Student's t with ν degrees of freedom, one for both coordinates of a detection (:mod:`.multivariate_t`), competes with
 the normal law (Lange, Little & Taylor 1989, JASA 84), with
 
     P(normal) = ½,    P(ν) = 1/6 for ν = 4, 8, 16
 
-Heavy tails are no cause to be named. The best cause with stray detections is held against what it is without them
-under each ν, its path and parameters refined. Where that is likelier, the stray detections are looked for once more
-along that path. Where it still is, so is every cause near the best: the pool is carried over to that law, without stray
-detections. The t law's width is that of its own best fit: it is the noise of the rows between its tails. Far from its
-mode that law pulls nowhere, so all are refined from what they were.
+Heavy tails are no cause to be named. The best cause with outliers is compared with the same cause without them
+under each ν, path and parameters refined. Where that is more probable, outliers are searched once more along that path.
+Where it still is, so is every cause near the best: the pool is refined under that law, without outliers. The t law's
+width is that of its own best fit: it is the noise of the rows between its tails. Far from its mode that law pulls
+nowhere, so all are refined from what they were.
 """
 
 from dataclasses import replace
@@ -33,31 +33,31 @@ WIDTH = "emission.keypoint_scale"
 
 
 def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """Problem and pool under the law with heavy tails, if that is likelier than the stray detections of the best cause.
+    """Problem and pool under the law with heavy tails, if that is more probable than the outliers of the best cause.
 
-    Both as they are where the best cause has none, or other mistakes of the tracker beside them, or where the budget
+    Both as they are where the best cause has none, or other mistakes of the tracker, or where the budget
     ends before it is carried over.
     """
     best = found.best
-    rest = _without_strays(problem, best)
+    rest = _without_outliers(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
         return problem, found
     degrees = problem.rules.residual.tail_degrees
     laws = [_fitted(problem, rest, each) for each in degrees]
     worth, tailed, there = max(laws, key=lambda law: law[0])
     named, unnamed = (found.log_prior(each.effects) for each in (best, rest))
-    # Log evidence up to which outliers are less likely.
+    # Log evidence up to which outliers are less probable.
     rivals = worth - log(len(degrees)) + unnamed - named
     if best.log_evidence <= rivals:
-        # It may be the path: where no torque holds it, Gauss–Newton bends it to detections that stray.
-        found.add(_with_strays(problem, best, there))
+        # It may be the path: where no torque constrains it, Gauss–Newton bends it to outliers.
+        found.add(_with_outliers(problem, best, there))
     if found.pool[best.key].log_evidence > rivals:
         return problem, found
     least = found.score(best) - problem.rules.search.max_tail_gap
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
-    bare = {cause.key: cause for cause in (_without_strays(problem, each) for each in reversed(near))}
+    bare = {cause.key: cause for cause in (_without_outliers(problem, each) for each in reversed(near))}
     candidates = [effect for effect in found.candidates if effect.name not in MISTAKES]
-    carried = replace(found, pool={}, candidates=candidates, stray=False)
+    carried = replace(found, pool={}, candidates=candidates, has_outliers=False)
     clear = [cause for cause in bare.values() if not any(is_mistake(type(effect)) for effect in cause.effects)]
     parts = [partial(_carried, tailed, each) for each in clear]
     for cause in side_by_side(parts, found.workers, tailed.budget):
@@ -65,19 +65,21 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     return (tailed, carried) if {"", rest.key} <= carried.pool.keys() else (problem, found)
 
 
-def _without_strays(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:
-    """A cause without its stray detections, nothing refined; itself where it has none."""
-    stray = next((effect for effect in cause.effects if effect.name == "outliers"), None)
-    return cause if stray is None else cause.less(problem, stray)
+def _without_outliers(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:
+    """A cause without its outliers, nothing refined; itself where it has none."""
+    outliers = next((effect for effect in cause.effects if effect.name == "outliers"), None)
+    return cause if outliers is None else cause.less(problem, outliers)
 
 
-def _with_strays(problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis) -> FittedHypothesis | None:
-    """The ``best`` cause, its stray detections looked for once more along the path that it has ``there``."""
-    stray = next(effect for effect in best.effects if effect.name == "outliers")
+def _with_outliers(
+    problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis
+) -> FittedHypothesis | None:
+    """The ``best`` cause, its outliers searched once more along the path that it has ``there``."""
+    outliers = next(effect for effect in best.effects if effect.name == "outliers")
     among = unknowns(problem, there.effects)
-    model = among.set_in(_without_strays(problem, best).model, there.mean)
-    base = replace(_without_strays(problem, best), model=model, path=there.path, mean=there.mean, log_evidence=-inf)
-    return attempt(refine_searched, problem, base, stray)
+    model = among.set_in(_without_outliers(problem, best).model, there.mean)
+    base = replace(_without_outliers(problem, best), model=model, path=there.path, mean=there.mean, log_evidence=-inf)
+    return attempt(refine_searched, problem, base, outliers)
 
 
 def _carried(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis | None:

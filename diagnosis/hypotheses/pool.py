@@ -18,7 +18,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
 
 MISTAKES = ("outliers", "label_swap")
-"""Effects that leave stray detections, and are not looked for where there are none."""
+"""Effects that make outliers, and are not tried where there are none."""
 
 
 @dataclass
@@ -28,12 +28,12 @@ class HypothesisPool:
     Attributes:
         candidates: all effects at all places that were considered.
         pool: refined causes by key.
-        first: the screen of every single effect, beside stray detections if there are any.
-        path: (T, D) that the data ask for, whatever the cause.
-        aside: (T, D) of the simulation alone; None where nobody knows its torques.
+        first: the screen of every single effect, with outliers if there are any.
+        path: (T, D) of the data, for any cause.
+        simulation_path: (T, D) of the simulation alone; None where its torques are unknown.
         workers: processes that may work side by side.
         followed: log evidence by key of causes that were followed to a neighbour of that key (:mod:`.swap`).
-        stray: whether some detections are far from it.
+        has_outliers: whether some detections are far from it.
         missed: candidates that the budget had nothing left for.
         rules: the problem's.
     """
@@ -42,8 +42,8 @@ class HypothesisPool:
     pool: dict[str, FittedHypothesis]
     first: list[Screened]
     path: Tensor
-    stray: bool
-    aside: Tensor | None = None
+    has_outliers: bool
+    simulation_path: Tensor | None = None
     workers: int = 1
     followed: dict[str, float] = field(default_factory=dict)
     missed: int = 0
@@ -56,28 +56,30 @@ class HypothesisPool:
 
     @property
     def temper(self) -> float:
-        """Power to which evidence is raised beside stray detections, or where there are none; see :func:`tempered`."""
+        """Power to which evidence is raised besides outliers', or where there are none; see :func:`tempered`."""
         return tempered(self.top - self.cleaned, self.rules.evidence.temper_scale)
 
     def temper_within(self, effect: Effect | None = None) -> float:
-        """Power for intervals of an effect's parameters, or the body's: all gain speaks of stray detections."""
-        beside = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
-        return tempered(self.top - beside, self.rules.evidence.temper_scale_within)
+        """Power for intervals of an effect's parameters, or the body's: all gain counts for outliers."""
+        base = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
+        return tempered(self.top - base, self.rules.evidence.temper_scale_within)
 
     def score(self, cause: FittedHypothesis) -> float:
         """Log posterior but for a constant.
 
-        Stray detections gain thousands of nats: what is more likely than they alone is measured from there. A cause
-        that surely leaves something has another effect beside it, which has its prior.
+        Outliers gain thousands of nats: a more probable cause is measured from there. A cause that leaves something
+        beyond chance stands for a set with another effect, which has its prior.
         """
         none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
-        stray = tempered(self.top - none, self.rules.evidence.temper_scale) * (min(cause.log_evidence, cleaned) - none)
+        outliers = tempered(self.top - none, self.rules.evidence.temper_scale) * (
+            min(cause.log_evidence, cleaned) - none
+        )
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
         rest = log(another(len(cause.effects), self.rules)) if self.leaves(cause) else 0.0
-        return stray + beyond + self.log_prior(cause.effects) + rest
+        return outliers + beyond + self.log_prior(cause.effects) + rest
 
     def leaves(self, cause: FittedHypothesis) -> bool:
-        """Whether a residual surely gains evidence beside a cause."""
+        """Whether a residual gains evidence beyond chance with a cause."""
         return leaves(cause, self.pool[""], self.rules)
 
     def log_prior(self, effects: Sequence[Effect]) -> float:
@@ -86,7 +88,7 @@ class HypothesisPool:
 
     @property
     def cleaned(self) -> float:
-        """The highest evidence of causes that leave stray detections and nothing else; of none, if there are none."""
+        """The highest evidence of causes of outliers alone; of none, if there are none."""
         return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
 
     @property
@@ -125,7 +127,7 @@ class HypothesisPool:
 
 
 def others(cause: FittedHypothesis) -> list[Effect]:
-    """A cause's effects but those that leave stray detections."""
+    """A cause's effects but those that make outliers."""
     return [effect for effect in cause.effects if effect.name not in MISTAKES]
 
 
@@ -165,5 +167,5 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
 
 
 def _told(effect: Effect, servos: set[int]) -> bool:
-    """Whether what happens to a command could happen to what the effect's motors are told: ``servos`` get targets."""
+    """Whether what happens to a command could happen to the commands of the effect's motors: ``servos`` get targets."""
     return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)

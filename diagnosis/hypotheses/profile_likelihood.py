@@ -1,11 +1,12 @@
-"""Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and play (:mod:`.backlash_search`).
+"""Effects whose parameters no slope tells of: those on the scatter (:mod:`.noise`), and backlash
+(:mod:`.backlash_search`).
 
 The evidence of those on the scatter is first looked at on a grid, along the base's path. What the base has left free is
 integrated out at each point. From the best point on, the evidence is climbed along a path of its own. Its curvature at
 the top is their integral's width (Laplace).
 
-Several of them take each other's part: noise that grows with speed has many stray detections until those are counted
-too, and while they are called that it hardly grows. So each is looked for again beside the others, from its grid on, in
+Several of them take each other's part: noise that grows with speed has many outliers until those are counted
+too, and with them it hardly grows. So each is searched again with the others, from its grid on, in
 turns, until none gains (coordinate ascent).
 """
 
@@ -19,7 +20,7 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.backlash_search import refine_play
+from invdyn.diagnosis.hypotheses.backlash_search import refine_backlash
 from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of, kept_hypothesis
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of
@@ -50,7 +51,7 @@ def _searched(
     problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float
 ) -> FittedHypothesis | None:
     if not is_noise(effect):
-        return refine_play(problem, base, effect, enough)
+        return refine_backlash(problem, base, effect, enough)
     best = _added(problem, base, effect, max(base.log_evidence + problem.rules.search.min_gain, enough))
     if best is None or best.log_evidence < base.log_evidence + problem.rules.descent.min_repeat_gain:
         return best
@@ -85,7 +86,7 @@ def _added(
     model, some = base.model.with_effects(effect), _telling(base, levels)
 
     def along(cause: FittedHypothesis) -> tuple[Tensor, Slopes, Linearisation]:
-        """Path, slopes and linearisation: what changes the scatter alone leaves them, whatever its parameters."""
+        """Path, slopes and linearisation: what changes the scatter alone leaves them."""
         tangents = slopes_along(cause.model, cause.path)
         return cause.path, tangents, linear_of(problem, cause.model, cause.path, tangents)
 
@@ -110,22 +111,22 @@ def _added(
     if top < least - sum(base.noise_log.values()):
         return None
     # A larger residual than there is bends the path, and under a smaller one than it takes Gauss–Newton may rather call
-    # most detections stray; a limb's own torque is as large as it was found.
+    # most detections outliers; a limb's own torque is as large as it was found.
     size = problem.min_size if problem.regime.knows_torque else float(levels[base.by_size.argmax()])
     some = np.arange(len(levels))
     size = max(size, float(levels[by_size(np.array(start)).argmax()]))
-    begun = np.log(start)
-    values = base.values | dict(zip(names, np.exp(begun).tolist(), strict=True))
+    first = np.log(start)
+    values = base.values | dict(zip(names, np.exp(first).tolist(), strict=True))
     cause = refine(problem, (*base.effects, effect), values, path, size, rounds=2)
     (path, tangents, moving), some = along(cause), _telling(cause, levels)
-    climbed, covariance, integral = climb(score, begun, problem.rules)
+    climbed, covariance, integral = climb(score, first, problem.rules)
     climbed = np.minimum(climbed, np.log(most))
     own = integral - float(logsumexp(by_size(np.exp(climbed))))
     noise_log = base.noise_log | {effect.key: own}
     values = base.values | dict(zip(names, np.exp(climbed).tolist(), strict=True))
     cause = refine(problem, (*base.effects, effect), values, path, size, noise_log=noise_log, rounds=3)
-    spreads = np.exp(climbed) * np.sqrt(np.diag(covariance))
-    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, spreads.tolist(), strict=True)))
+    sds = np.exp(climbed) * np.sqrt(np.diag(covariance))
+    return replace(cause, noise_sd=base.noise_sd | dict(zip(names, sds.tolist(), strict=True)))
 
 
 def _telling(cause: FittedHypothesis, levels: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ parameters that it has reached; the regression on its columns then moves them, u
 on path and parameters in turns, and its evidence is that of the model linearised about both: a Laplace
 approximation.
 
-Where joints stick or strike, the first path is led to a stiff chain's by a homotopy (:mod:`.continuation`); in the
+Where joints stick or strike, the first path comes from a homotopy to a stiff chain (:mod:`.continuation`); in the
 last, stiffer rounds that one or what Gauss–Newton finds by itself, whichever is better.
 
 Nothing is assumed of the effects but that the model's three distributions follow their parameters smoothly enough for
@@ -23,7 +23,7 @@ import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.continuation import firmed, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import continued, lifted, with_smaller_residual
 from invdyn.diagnosis.hypotheses.kept_hypotheses import kept_hypothesis
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -63,7 +63,7 @@ def refine(
     """
     model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
-    problem.budget.ask(key_of(effects) or "no effect")
+    problem.budget.start(key_of(effects) or "no effect")
     inputs: list[Any] = [values, path, size, noise_log, noise_sd, enough, doubtful, rounds]
     found = kept_hypothesis(problem, "refine", effects, inputs, partial(_refined, problem, model, effects, *inputs))
     assert found is not None  # a first step that fails raises
@@ -88,7 +88,7 @@ def _refined(
     rounds = given_rounds or rules.max_rounds
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
-    spread = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
+    known_sd = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}
     integrated = {key: log for key, log in (noise_log or {}).items() if key in {effect.key for effect in effects}}
     model = model.replace(**{f"effect.{name}": torch.tensor([v], dtype=torch.float64) for name, v in noise.items()})
     among = unknowns(problem, effects)
@@ -111,7 +111,7 @@ def _refined(
         )
         problem.budget.spend(rules.path_steps + FIXED.refused_steps + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
-            # It may be so far off, as what a looser chain left is, that no step was short enough.
+            # It may be so far off, as that of a noisier chain is, that no step was short enough.
             path = gauss_newton_path(quiet, problem.observations, path, rules.max_short_steps, rules.path_tolerance)
             problem.budget.spend(rules.max_short_steps, here, len(path))
         columns = slopes(model, among, point, np.maximum(step, 1e-7 * among.sd), path)
@@ -135,7 +135,7 @@ def _refined(
             path,
             here,
             noise,
-            spread,
+            known_sd,
             integrated,
             memory=top.memory,
             of_memory=top.gain,
@@ -166,7 +166,7 @@ def _refined(
             # Evidence is that of a straight line from the point on: what it promises, the next round has to keep.
             true = cause.log_evidence - promised
             if best is None or true > most_seen - rules.unseen_gain:
-                # Of rounds that are as good the last one: where it was expanded is nearest to where it leads.
+                # Of rounds that are as good the last one: where it was expanded is nearest to where it ends.
                 best, worth, most_seen = replace(cause, about=point), true, max(true, most_seen)
             hopeless = cause.log_evidence < (enough if done else doubtful) and cause.kappa < rules.max_lost_kappa
             # A path that was found under another residual is bent by it.
@@ -178,7 +178,7 @@ def _refined(
 
     if patient and model.effects.abrupt:
         # Where joints stick or strike, a path that leaves much to the residual misleads.
-        descend(point, led(problem, among.set_in(model, point), path, problem.min_size), problem.min_size, 1.0, 3)
+        descend(point, continued(problem, among.set_in(model, point), path, problem.min_size), problem.min_size, 1.0, 3)
     if best is None or not best.complete:
         descend(point, path, size, 1.0, rounds)
     assert best is not None  # a first step that fails raises
@@ -186,32 +186,34 @@ def _refined(
     for stiffness in (0.1, 0.0) if among.names else ():
         if patient and not best.complete and best.log_evidence >= enough and not problem.budget.over:
             size = best_size(problem, best)
-            firm = firmed(problem, among.set_in(model, best.mean), best.path, stiffness * size)
-            descend(best.mean, firm, size, stiffness, 2)
+            stiff = with_smaller_residual(problem, among.set_in(model, best.mean), best.path, stiffness * size)
+            descend(best.mean, stiff, size, stiffness, 2)
     if patient and best.log_evidence >= enough and best.log_evidence - worth > rules.unseen_gain:
         descend(best.mean, best.path, best_size(problem, best), 0.0, rounds, fresh=False)
-    if rounds > 1 and best.about is not None and (lost := best.log_evidence - worth) > rules.unseen_gain:
+    if rounds > 1 and best.about is not None and (excess := best.log_evidence - worth) > rules.unseen_gain:
         # It never came to rest: what it is known to be worth is where it was expanded.
-        best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - lost)
+        best = replace(best, mean=best.about, log_evidence=worth, by_size=best.by_size - excess)
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 
 def _within(
     bounded: Callable[[np.ndarray], np.ndarray], point: np.ndarray, mean: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray:
-    """Where a step of N(mean, covariance) leads from ``point`` within bounds: at a bound, the others given that."""
+    """Where a step of N(mean, covariance) ends from ``point`` within bounds: at a bound, the others given that."""
     whole = target = point + mean
-    held = np.zeros(len(point), dtype=bool)
+    at_bound = np.zeros(len(point), dtype=bool)
     while True:
         within = bounded(target)
-        over = ~held & (within != target)
+        over = ~at_bound & (within != target)
         if not over.any():
             return within
-        held |= over
-        free = ~held
-        gain = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[np.ix_(held, free)], rcond=None)[0].T
+        at_bound |= over
+        free = ~at_bound
+        gain = np.linalg.lstsq(covariance[np.ix_(at_bound, at_bound)], covariance[np.ix_(at_bound, free)], rcond=None)[
+            0
+        ].T
         target = within.copy()
-        target[free] = whole[free] + gain @ (within - whole)[held]
+        target[free] = whole[free] + gain @ (within - whole)[at_bound]
 
 
 def _promised(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:

@@ -27,7 +27,7 @@ Score = Callable[[np.ndarray], float]
 
 
 def grid(effect: Effect, scale: Scale, rules: Rules = DEFAULT) -> tuple[list[Parameter], list[tuple[float, ...]]]:
-    """Parameters of a bound effect, and grid points over them, spread as their priors are."""
+    """Parameters of a bound effect, and grid points over them, at quantiles of their priors."""
     parameters = list(effect.parameters(scale))
     return parameters, list(product(*(p.grid or _quantiles(p, rules) for p in parameters)))
 
@@ -77,7 +77,7 @@ def climb(score: Score, start: np.ndarray, rules: Rules = DEFAULT) -> tuple[np.n
         for j in range(i):
             both = score(x + unit[i] + unit[j])
             hessian[i, j] = hessian[j, i] = (both - singles[i, 0] - singles[j, 0] + top) / step**2
-    # Where the search ended on an edge the curvature is what a spread of one would give.
+    # Where the search ended on an edge the curvature is that of an sd of one.
     values, vectors = np.linalg.eigh(-hessian)
     covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
     integral = top + 0.5 * (p * np.log(2 * np.pi) + np.linalg.slogdet(covariance)[1])

@@ -1,9 +1,10 @@
 """Integrator sub-steps whose error costs no evidence.
 
-An error that no row shows adds up over a recording, and whatever takes shorter sub-steps for reasons of its own, as
-play does, gains what all others lose by it. The error e_t (D,) of row t is the difference to twice as many sub-steps
-along a path. As an input into the state it changes the whitened innovations by a column w (:mod:`.innovations`), and
-log evidence by ½ |w|² on average; with next to no residual, which would take the error along.
+An error that no row shows adds up over a recording, and what takes shorter sub-steps for other reasons, as
+backlash does, gains what all others lose by it. The error e_t (D,) of row t is the difference to twice as many
+sub-steps along a path. As an input into the state it changes the whitened innovations by a column w
+(:mod:`.innovations`), and log evidence by ½ |w|² on average; with next to no residual, which would take the error
+along.
 
 That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`).
 """

@@ -1,11 +1,11 @@
 """The move to swap: an effect of what was found for its neighbours, from values that follow from its own.
 
-A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a softer
-form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of gravity,
-because they shift the path itself. Of an effect that changes a period it sees what a little does. It does not see that
-a large load, made larger, hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to an
-effect, but not from its neighbour's parameters and path (continuation: Allgower & Georg 1990, "Numerical continuation
-methods").
+A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a
+regularised form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of
+gravity, because they shift the path itself. Of an effect that changes a period it sees what a little does. It does not
+see that a large load, made larger, hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to
+an effect, but not from its neighbour's parameters and path (continuation: Allgower & Georg 1990, "Numerical
+continuation methods").
 """
 
 from collections.abc import Container, Mapping
@@ -35,8 +35,8 @@ RELATED = ("wider", "narrower")
 def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
     """Refine the neighbours of causes with so many effects, from values that follow, and theirs, until none is new.
 
-    Twins, special cases and laws that have one come first, of all that are near the best; then softer forms, and what
-    the best one may be taken for. What these find has neighbours, too.
+    Twins, special cases and laws that have one come first, of all that are near the best; then regularised forms, and
+    what the best one may be taken for. What these find has neighbours, too.
     """
     visited: dict[int, FittedHypothesis] = {}
     while fresh := [
@@ -46,7 +46,7 @@ def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: 
             visited[id(cause)] = cause
             _swap_each(problem, found, cause, ("twin", "wider", "narrower"))
         for cause in _rough(problem, found, number)[: problem.rules.search.max_variants // number]:
-            refine_softer(problem, found, cause)
+            refine_regularised(problem, found, cause)
         best = found.best
         if len(best.effects) == number:
             _swap_each(problem, found, best, ("alike",))
@@ -58,7 +58,7 @@ def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypoth
 
 
 def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> list[FittedHypothesis]:
-    """Causes with softer forms that leave something, a residual or errors of prediction that are alike; best first.
+    """Causes with regularised forms that leave a residual or correlated errors of prediction; best first.
 
     Where nothing explains the gap yet, all that gain half of what the best one does: an ideal law may be as far off as
     another effect's.
@@ -79,7 +79,7 @@ def _swap_each(
     for mine in cause.effects:
         if "moment" in mine.located:
             _refine_moved(problem, found, cause, mine)
-        values, sd = of_effect(mine, cause.values), of_effect(mine, cause.spread)
+        values, sd = of_effect(mine, cause.values), of_effect(mine, cause.sds)
         for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
             if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
                 _follow(problem, found, cause, mine, other)
@@ -104,7 +104,7 @@ def _follow(
     if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if related else ""):
         paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
         form, starts = _as_soft(problem, cause, mine, other)
-        limits = fair_chance(found, found.pool[""]) if other.kind in ("alike", "wider") else {}
+        limits = early_stop_limits(found, found.pool[""]) if other.kind in ("alike", "wider") else {}
         for path, start in product(paths, starts):
             refined = instead(problem, cause, mine, form, start, path, best_size(problem, cause), **limits)
             found.add(refined)
@@ -114,7 +114,7 @@ def _follow(
 
 def _softness(effect: Effect) -> str:
     """Which form it is."""
-    return " softer" * effect.softness
+    return " regularised" * effect.softness
 
 
 def _as_soft(
@@ -131,15 +131,15 @@ def _as_soft(
     return form, [kept | dict(start) for start in other.starts]
 
 
-def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
-    """Refine a cause with the softer form of each of its effects that has one; the better one stays.
+def refine_regularised(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
+    """Refine a cause with the regularised form of each of its effects that has one; the better one stays.
 
     And with that one's, where it has one and something is left.
     """
     for mine in cause.effects:
         form, best = mine, cause
         while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
-            refined = softer(problem, best, form, **fair_chance(found, found.pool[""]))
+            refined = regularised(problem, best, form, **early_stop_limits(found, found.pool[""]))
             if refined is None:
                 break
             found.add(refined)
@@ -148,8 +148,10 @@ def refine_softer(problem: DiagnosisProblem, found: HypothesisPool, cause: Fitte
             form, best = next(e for e in refined.effects if e.key == form.key), refined
 
 
-def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any) -> FittedHypothesis | None:
-    """A cause with the softer form of one of its effects, from its values and path; None where that has none."""
+def regularised(
+    problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any
+) -> FittedHypothesis | None:
+    """A cause with the regularised form of one of its effects, from its values and path; None where that has none."""
     form = mine.softened()
     if form is None:
         return None
@@ -157,7 +159,7 @@ def softer(problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **l
     return instead(problem, cause, mine, form, form.as_soft(of_effect(mine, cause.values)), cause.path, size, **limits)
 
 
-def fair_chance(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
+def early_stop_limits(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:
     """Nats that the first two rounds of a refinement must reach, of what is to be better than ``base``."""
     behind = found.top - base.log_evidence
     doubtful = base.log_evidence + needed(behind, explained=False, rules=found.rules)

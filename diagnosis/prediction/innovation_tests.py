@@ -1,6 +1,6 @@
-"""What is left in a cause's errors of prediction: alike from row to row, along the motion, loud, or astray together.
+"""What is left in a cause's errors of prediction: correlation, direction, size, or outliers that come together.
 
-Whitened one-step prediction errors w_t of a right simulation are independent, and alike in all directions (whiteness
+Whitened one-step prediction errors w_t of a right simulation are independent, and isotropic (whiteness
 tests: Mehra 1970, "On the identification of variances and adaptive Kalman filtering"):
 
     correlation     Σ w_t w_{t+1} / Σ w_t²                          0 ± 1/√n; towards 1 where the path itself is off
@@ -9,13 +9,13 @@ tests: Mehra 1970, "On the identification of variances and adaptive Kalman filte
 v is not whitened, which costs power where predictions are uncertain. Noise of unlike width in x and y shows, too.
 
 How much louder errors are than the noise at rest, κ says; but that noise is hardly known where a cause has it grow with
-speed. There the cause's own noise, drawn about its path, is held against the recording's, both as neighbouring rows
+speed. There the cause's own noise, drawn about its path, is compared with the recording's, both as neighbouring rows
 show them (:func:`.jitter.jitter`).
 
-And stray detections of a tracker that errs now and then come upon each keypoint by itself. With r_t the probability
-that one strays in row t and s_t that another does, of all pairs together,
+And outliers of a tracker come upon each keypoint independently. With r_t the probability
+that one is an outlier in row t and s_t that another is, of all pairs together,
 
-    in concert      (Σ r_t s_t − E) / (M − E)                       0 ± √E/(M − E); 1 where they stray as one
+    together        (Σ r_t s_t − E) / (M − E)                       0 ± √E/(M − E); 1 where all come together
 
 with E = Σr Σs / T what chance gives, and M = min(Σr, Σs) the most there could be.
 
@@ -37,13 +37,13 @@ from invdyn.models.observation.mixture import MistakenRows
 
 
 def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:
-    """Whether a cause's errors of prediction (T, O) are loud, alike from row to row, or astray together."""
-    if loudness(problem, cause) > problem.rules.residual.max_error_ratio:
+    """Whether a cause's errors of prediction (T, O) are large, correlated, or outliers that come together."""
+    if noise_ratio(problem, cause) > problem.rules.residual.max_error_ratio:
         return True
-    alike, chance = correlation(errors)
-    company, by_chance = in_concert(problem, cause)
+    correlated, chance = correlation(errors)
+    company, by_chance = shared_outliers(problem, cause)
     return (
-        alike > problem.rules.residual.max_error_correlation + problem.rules.residual.error_margin * chance
+        correlated > problem.rules.residual.max_error_correlation + problem.rules.residual.error_margin * chance
         or company > problem.rules.residual.max_shared_outliers + problem.rules.residual.error_margin * by_chance
     )
 
@@ -51,8 +51,8 @@ def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.nda
 def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.ndarray:
     """Whitened one-step prediction errors (T, O), NaN where nothing was seen.
 
-    With unknown torque under an ample one, which leaves no errors alike by being smoother than its prior is: what is
-    then alike in them, no torque can do.
+    With unknown torque under an ample one, which correlates no errors by being smoother than its prior: what is
+    then correlated, no torque can explain.
     """
     size = best_size(problem, cause) * (1.0 if problem.regime.knows_torque else problem.rules.residual.limb_margin)
     rows = whitened(problem, cause, [size])
@@ -62,7 +62,7 @@ def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.
     return errors
 
 
-def loudness(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
+def noise_ratio(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
     grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
     observation = cause.model.observation
@@ -106,30 +106,30 @@ def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, fl
     if not fast.any():
         return 0.5, 0.5
     errors, velocity = errors[fast], velocity[fast]
-    along, across = (np.abs((errors * way).sum(-1)) for way in (velocity, _aside(velocity)))
+    along, across = (np.abs((errors * way).sum(-1)) for way in (velocity, _across(velocity)))
     return float(np.mean(along > across)), 0.5 * int(fast.sum()) ** -0.5
 
 
-def _aside(vectors: np.ndarray) -> np.ndarray:
+def _across(vectors: np.ndarray) -> np.ndarray:
     """Vectors as long as ``vectors`` (N, d) and at right angles to them; in space any one of these."""
     if vectors.shape[-1] == 2:
         return vectors[:, ::-1] * [-1.0, 1.0]
-    aside = np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(-1)])
-    lengths = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (vectors, aside)]
-    return aside * lengths[0] / np.maximum(lengths[1], 1e-300)
+    normal = np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(-1)])
+    lengths = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (vectors, normal)]
+    return normal * lengths[0] / np.maximum(lengths[1], 1e-300)
 
 
-def in_concert(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[float, float]:
-    """How far keypoints stray in the same rows, and its sd if each does by itself (of one chance coincidence at least).
+def shared_outliers(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[float, float]:
+    """How far outliers share their rows, and its sd if they are independent (of one chance coincidence at least).
 
-    Where the cause has rows swapped or mistimed, or knows of no stray detections, there is nothing to ask: 0.
+    Where the cause has rows swapped or mistimed, or knows of no outliers: 0.
     """
     rows = cause.model.emission(cause.path, torch.arange(len(cause.path)))
     if not isinstance(rows, MistakenRows) or not rows.outliers or rows.swaps or rows.shift:
         return 0.0, 1.0
-    stray = rows.outlier_probability(problem.observations).numpy()
+    outliers = rows.outlier_probability(problem.observations).numpy()
     together = by_chance = most = 0.0
-    for one, other in combinations(stray.T, 2):
+    for one, other in combinations(outliers.T, 2):
         seen = ~np.isnan(one + other)
         r, s = one[seen], other[seen]
         together += float(r @ s)

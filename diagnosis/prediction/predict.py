@@ -123,16 +123,16 @@ def residual(problem: DiagnosisProblem, cause: FittedHypothesis) -> tuple[np.nda
 
 
 @torch.no_grad()
-def replay(model: ArmModel, path: Tensor, anew: Sequence[int] = ()) -> np.ndarray:
+def replay(model: ArmModel, path: Tensor, restarts: Sequence[int] = ()) -> np.ndarray:
     """Sites (T, S, d) m of open-loop replays, each of `replay_window` seconds, from the states of ``path`` (T, D).
 
-    Rows ``anew`` are set to their states too.
+    Rows ``restarts`` are set to their states too.
     """
     path = path.clone()
     path[:, : model.body.num_joints] = 0.0  # no residual
     time = model.time.numpy()
     starts = np.searchsorted(time, np.arange(time[0], time[-1], FIXED.replay_window))
-    starts = np.unique([*starts, *anew])
+    starts = np.unique([*starts, *restarts])
     lengths = np.diff(np.append(starts, len(time)))
     states, state = path.clone(), path[starts]
     for step in range(1, int(lengths.max())):

@@ -1,1 +1,1 @@
-"""What is asked: the simulation on the recording's rows, with a residual torque; causes, their priors and unknowns."""
+"""The simulation on a recording's rows, with a residual torque; causes, their priors and unknowns."""

@@ -30,7 +30,8 @@ class FittedHypothesis:
         memory, of_memory: of their errors from row to row (:mod:`..sensitivity.memory`), and nats that it is worth.
         path: (T, D) its own.
         model: with the parameters at their means.
-        noise, noise_sd: parameters that were searched (effects on the scatter, play), which are no part of ``names``.
+        noise, noise_sd: parameters that were searched (effects on the scatter, backlash), which are no part of
+            ``names``.
         noise_log: what their integral added to the log evidence, by effect's key.
         plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
         about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
@@ -73,7 +74,7 @@ class FittedHypothesis:
         return dict(zip(self.names, self.mean.tolist(), strict=True)) | {k: float(v) for k, v in self.noise.items()}
 
     @property
-    def spread(self) -> dict[str, float]:
+    def sds(self) -> dict[str, float]:
         """Standard deviations of :attr:`values`, where they are known."""
         return dict(zip(self.names, self.sd.tolist(), strict=True)) | self.noise_sd
 

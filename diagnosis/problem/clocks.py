@@ -7,8 +7,8 @@ clock, in a frame and to a scale that need not be the body's:
 
 The offset is where what this leaves, as a share of the keypoints' variance, is least: over a grid of all offsets at
 which half of the shorter one is shared, then by Brent's method. Frames that lie far off count for no more than three
-medians. How surely, stretches of the film tell, that err each in its own way, by the sandwich estimator that sets
-cameras' clocks (:mod:`invdyn.recordings.cameras.synchronise`), with stretches as its clusters.
+medians. Its standard error comes from stretches of the film with independent errors, by the sandwich estimator that
+sets cameras' clocks (:mod:`invdyn.recordings.cameras.synchronise`), with stretches as its clusters.
 
 Shapes: F frames, S sites of d coordinates.
 """
@@ -30,7 +30,8 @@ from invdyn.recordings.cameras.synchronise import Clock, sandwich_sd
 def camera_clock(log: Recording, film: Recording, body: ArticulatedBody, rules: Rules = DEFAULT) -> Clock:
     """By how much ``film``'s times run ahead of those of a ``log`` of the same motion, of ``body``'s angles.
 
-    Raises InputError where they share too little time, nothing moves enough to tell, or several offsets fit alike.
+    Raises InputError where they share too little time, nothing moves enough to tell, or several offsets fit equally
+    well.
     """
     places = _places(log, film, body, rules)
     own, step = film.time, 2 * max(film.frame_interval, log.frame_interval)
@@ -39,13 +40,13 @@ def camera_clock(log: Recording, film: Recording, body: ArticulatedBody, rules: 
     few = slice(None, None, -(-film.num_frames // rules.check.max_grid_frames))
 
     def left(offset: float, frames: slice = slice(None)) -> float:
-        terms, spread = _misfits(places(own[frames] - offset), film.keypoints[frames], rules)
-        return float(np.nanmean(terms)) / spread if spread > 0 else np.inf
+        terms, variance = _misfits(places(own[frames] - offset), film.keypoints[frames], rules)
+        return float(np.nanmean(terms)) / variance if variance > 0 else np.inf
 
     values = np.array([left(offset, few) for offset in grid])
     if not np.isfinite(values).any() or values.min() > rules.check.min_clock_overlap:
         raise InputError(
-            f"{film.name}: nothing in it moves as the log says, whatever its clock: check its keypoints, or state "
+            f"{film.name}: nothing in it moves as the log says, with any clock: check its keypoints, or state "
             "--set clock=SECONDS"
         )
     best = int(values.argmin())

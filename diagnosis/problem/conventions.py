@@ -25,8 +25,8 @@ SIGNS = ("torque sign", "direction", "angle sign")
 def refuse(message: str, force: bool) -> None:
     """Raise InputError for a mistake in a recording, or, by ``force``, warn of what would have been refused."""
     if not force:
-        raise InputError(f"{message}; --force goes on")
-    warnings.warn(f"{message}; goes on, by --force", stacklevel=3)
+        raise InputError(f"{message}; --force continues")
+    warnings.warn(f"{message}; continued, by --force", stacklevel=3)
 
 
 def check_conventions(
@@ -59,14 +59,14 @@ def _check_keypoints(
         if not {k - 1, k} <= seen.keys() or (k and k - 2 not in seen):
             continue
         along = seen[k] - seen[k - 1]
-        turned = np.arctan2(along[:, 1], along[:, 0])
+        heading = np.arctan2(along[:, 1], along[:, 0])
         if k:
             before = seen[k - 1] - seen[k - 2]
-            turned = turned - np.arctan2(before[:, 1], before[:, 0])
-        use = np.isfinite(turned + angle[:, k]) & (np.hypot(*along.T) > rules.check.min_link_length * reach)
+            heading = heading - np.arctan2(before[:, 1], before[:, 0])
+        use = np.isfinite(heading + angle[:, k]) & (np.hypot(*along.T) > rules.check.min_link_length * reach)
         if use.sum() < rules.check.min_direction_rows:
             continue
-        same, other = (np.exp(1j * (angle[use, k] - way * turned[use])).mean() for way in (1, -1))
+        same, other = (np.exp(1j * (angle[use, k] - way * heading[use])).mean() for way in (1, -1))
         if abs(other) > rules.check.min_resultant > abs(same):
             refuse(
                 f"{name}: the encoder of joint {joint!r} turns the other way than its keypoints: does the robot count "

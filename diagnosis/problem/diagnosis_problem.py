@@ -97,7 +97,7 @@ class DiagnosisProblem:
         return torque if self.shape is None else torque * torch.tensor(self.shape, dtype=torch.float64)
 
     def shaped(self, path: Tensor) -> "DiagnosisProblem":
-        """The problem with a residual that is spread over the joints as it is along ``path`` (T, D).
+        """The problem with a residual that is distributed over the joints as along ``path`` (T, D).
 
         One number is the size of all joints' residuals. A joint that lacks little would hide, under the size that
         another one needs, what a cause improves there. Effects are looked for where the joints turn along it.
@@ -115,11 +115,11 @@ class DiagnosisProblem:
 
     @property
     def engine_step(self) -> float:
-        """First-order step, s, in which the simulation is played, 0 for none; see :meth:`in_engine_steps`."""
+        """First-order step, s, of the simulation, 0 for none; see :meth:`in_engine_steps`."""
         return max((part.parts.step for part in self.model.effects.filed if isinstance(part, FiledStep)), default=0.0)
 
     def in_engine_steps(self) -> "DiagnosisProblem":
-        """The same problem in the steps of the file's own engine; itself where it has none, or nobody commands."""
+        """The same problem in the steps of the file's own engine; itself where it has none, or without commands."""
         if self.engine_step or not (self.regime.commanded and engine_steps(self.model.body)):
             return self
         return replace(self, problem=replace(self.problem, model=self.model.in_engine_steps()))
@@ -136,10 +136,10 @@ class DiagnosisProblem:
         """``model`` with a residual torque of stationary sd ``size`` typical torques, more where it begins."""
         model = model or self.model
         scale = {"torque.scale": size * np.sqrt(2 * self.regime.decay) * self.typical}
-        return model.replace(**scale, **self.begun)
+        return model.replace(**scale, **self.initial_scale)
 
     @cached_property
-    def begun(self) -> dict[str, Tensor]:
+    def initial_scale(self) -> dict[str, Tensor]:
         """Sd (K,) N·m of what is not known of commanded torques where a recording begins, as a parameter."""
         typical = torch.tensor(self.model.scale.torque, dtype=torch.float64)
         return {"torque.initial_scale": self.rules.residual.initial_torque * typical} if self.regime.commanded else {}
@@ -155,7 +155,7 @@ def diagnosis_problem(
 ) -> DiagnosisProblem:
     """Bind one or several recordings to ``body``; each of several counts from its own first row.
 
-    By ``force`` signs, zeros and units of torques that are surely wrong are warned of and not refused.
+    By ``force``, wrong signs, zeros and units of torques are warned of and not refused.
 
     Raises InputError where they do not fit; NotEnoughData for too few rows, or tracks that leave a pose open.
     """
@@ -240,14 +240,14 @@ def _usual(model: ArmModel, observations: Tensor, starts: Sequence[int]) -> Tens
 
 
 def _as_seen(problem: Problem, usual: Tensor, regime: Regime) -> ArmModel:
-    """The model with the noise that the recording's own jitter shows, whatever it misfits, and firmer dynamics.
+    """The model with the noise that the recording's own jitter shows, and less noise of its dynamics.
 
-    ``usual`` are its observations without stray ones: those make their neighbours look fast, and noise to grow with it.
+    ``usual`` are its observations without outliers: those make their neighbours look fast, and noise grow with speed.
     """
     model = problem.model
     observation = model.observation
     reach = model.dynamics.reach(model.body_parameters()).item()
-    found = {name: regime.firmer * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
+    found = {name: regime.dynamics_noise * model.parameters[name] for name in ("noise.angle", "noise.velocity")}
     if observation.keypoints:
         sd = torch.as_tensor(noise_at_rest(model.time.numpy(), observation.points(usual).numpy()))
         found["emission.keypoint_scale"] = sd.clamp_min(1e-5 * reach)
@@ -263,7 +263,7 @@ class CannotFollow(InputError, Diverged):
 
 
 def cannot_follow(bound: DiagnosisProblem) -> CannotFollow:
-    """The error of a simulation that runs away from its recording whatever is added to it."""
+    """The error of a simulation that diverges from its recording with any added torque."""
     return CannotFollow(
         f"{bound.problem.recording.name}: body {bound.model.body.name!r} cannot follow it, even with torque of its "
         "own at each joint: check units of torques (N·m), lengths and masses, signs and zeros of joints, or give a "

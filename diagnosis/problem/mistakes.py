@@ -9,7 +9,7 @@ motion asks for (:mod:`.torque_regression`), and near it once it is put right:
 
 Several at once are found one after the other, those first that put most right. At the end each must have brought the
 torques of the joints that it accuses to what a log that is right leaves of them, in a unit that no remedy changes: what
-the motion asks of these joints. Else the last one is no mistake, and what comes before it is asked again.
+the motion asks of these joints. Else the last one is no mistake, and what comes before it is tested again.
 
 A remedy is of a column that the log has: of a servo's target where no torque was logged. One that a mapping has already
 is none. A joint that does not move is accused of nothing.
@@ -36,8 +36,8 @@ from invdyn.recordings.units import TIMES, Units
 
 TIME_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 FITTED = ("zero", "scale", "offset")
-"""Kinds with a number that is fitted: of those alike, one without a number comes first (Occam's razor). An arm of one
-joint whose direction is the other way could have a zero elsewhere, but only a single one."""
+"""Kinds with a number that is fitted: of equally good ones, one without a number comes first (Occam's razor). An arm of
+one joint whose direction is the other way could have a zero elsewhere, but only a single one."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def find(
         if not worth:
             break
         limit = max(rules.equal_misfit * worth[0][0], rules.min_misfit)
-        alike = [(misfit, mistake) for misfit, mistake in worth if misfit < limit]
-        _, best = min(alike, key=lambda each: each[1].kind in FITTED)
-        others = tuple(mistake for _, mistake in alike if mistake.kind != best.kind)
+        rivals = [(misfit, mistake) for misfit, mistake in worth if misfit < limit]
+        _, best = min(rivals, key=lambda each: each[1].kind in FITTED)
+        others = tuple(mistake for _, mistake in rivals if mistake.kind != best.kind)
         found.append(Found(best, math.nan, math.nan, others))
         states.append(best.right(states[-1]) or states[-1])
         lefts.append(explain(dynamics, body, states[-1]))
@@ -109,7 +109,7 @@ def find(
         found.pop()
     right = lefts[len(found)]
     left = [left_by_values(dynamics, body, each, right.values) for each in states[: len(found) + 1]]
-    shares = [[share(each, right.asked, own.mistake.joints) for each in left] for own in found]
+    shares = [[share(each, right.required, own.mistake.joints) for each in left] for own in found]
     numbered = enumerate(zip(found, shares, strict=True))
     stated = [replace(each, before=of[n], after=of[n + 1]) for n, (each, of) in numbered]
     return stated, len(stated) < tried_out
@@ -274,10 +274,10 @@ def _searched(
 def zero(joint: int, off: float, sign: float = 1.0, where: str = "its angles") -> Mistake:
     """A joint's angles are counted from ``off`` rad elsewhere; of a robot that counts by ``sign`` it is said so."""
     off = math.remainder(off, math.tau)
-    told = sign * off
-    words = f"the angles' zero is {math.degrees(told):+.0f}° off"
-    turn = f"subtract {told:.3g} rad ({math.degrees(told):.0f}°) from {where}"
-    return Mistake("zero", (joint,), words, turn, told, lambda motion: motion.turned(joint, off))
+    shown = sign * off
+    words = f"the angles' zero is {math.degrees(shown):+.0f}° off"
+    turn = f"subtract {shown:.3g} rad ({math.degrees(shown):.0f}°) from {where}"
+    return Mistake("zero", (joint,), words, turn, shown, lambda motion: motion.recounted(joint, off))
 
 
 def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> Mistake:
@@ -294,7 +294,7 @@ def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> 
     turn = f"multiply its {'targets' if by_target else 'torques'} by {factor:.3g}"
 
     def right(motion: Motion) -> Motion:
-        terms = None if motion.terms is None else replace(motion.terms, told=motion.terms.told * given)
+        terms = None if motion.terms is None else replace(motion.terms, commands=motion.terms.commands * given)
         return replace(motion, torque=motion.torque * given, terms=terms)
 
     return Mistake("scale", group, words, turn, factor, _retargeted(given) if by_target else right)
@@ -316,7 +316,7 @@ def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
         turn += f", or {-off:.3g} rad from its angles" if servo.kind == "position" else ""
 
     def right(motion: Motion) -> Motion:
-        terms = None if motion.terms is None else replace(motion.terms, told=motion.terms.told - constant)
+        terms = None if motion.terms is None else replace(motion.terms, commands=motion.terms.commands - constant)
         return replace(motion, torque=motion.torque - constant, terms=terms)
 
     return Mistake("offset", (joint,), words, turn, offset, right)

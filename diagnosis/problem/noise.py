@@ -1,8 +1,8 @@
-"""Effects that no column describes, so that their few parameters are searched: those on the scatter, and play.
+"""Effects that no column describes, so that their few parameters are searched: those on the scatter, and backlash.
 
 Stray detections, exchanged labels, mistimed frames and noise that grows with speed change what an observation may
 be, not where it is expected. Their parameters are searched (:mod:`..hypotheses.simplex_search`), and so are those of
-play (:mod:`..hypotheses.backlash_search`).
+backlash (:mod:`..hypotheses.backlash_search`).
 """
 
 from invdyn.models.effects.base import Effect

@@ -5,7 +5,7 @@ medians in `num_speed_bins` bins are compared with a noise that is the same ever
 
     σ,    σ (1 + k v)  of speeds in the plane,    √(σ² + k² v²)  of speeds along the coordinate
 
-σ of the one that fits surely better is what the noise at rest is; of the first, unless one of the others does.
+The noise at rest is σ of the first, unless one of the others fits better beyond chance.
 
 One camera and one network saw all points. Of each point alone the noise is known to a twentieth at best, and to a third
 where it grows. That is too little to tell points apart by, and a point said to have too little noise looks as if its
@@ -33,18 +33,18 @@ Growth = Callable[[np.ndarray, float], np.ndarray]
 
 
 def noise_at_rest(time: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Noise sd, m, of each of P points (T, P, d) seen at ``time`` (T,) s where it rests; 0 where too little is seen."""
+    """Noise sd, m, of each of P points (T, P, d) at ``time`` (T,) s when it does not move; 0 without enough rows."""
     average = jitter(points.reshape(len(points), -1)).reshape(points.shape[1:]).mean(1)
     tracks = points.swapaxes(0, 1)
     rest = np.array([_at_rest(time, track, usual) for usual, track in zip(average, tracks, strict=True)])
     grows = rest < average
     variance = np.where(grows, FIXED.growth_log_sd**2, variance_of_log(np.isfinite(tracks).sum((1, 2))))
-    alike = shrunk(rest, variance)
-    return np.where(grows, np.minimum(average, alike), alike)
+    nearer = shrunk(rest, variance)
+    return np.where(grows, np.minimum(average, nearer), nearer)
 
 
 def variance_of_log(count: np.ndarray) -> np.ndarray:
-    """Variance of the logarithm of a noise's sd that the differences of so many values told."""
+    """Variance of the logarithm of a noise's sd from the differences of so many values."""
     return FIXED.difference_overlap * MEDIAN / np.maximum(count, 1)
 
 

@@ -1,9 +1,9 @@
-"""Observations that jump out of their neighbours' course: stray detections and exchanged labels are no fast arm.
+"""Observations that jump out of their neighbours' course: outliers and exchanged labels are no fast arm.
 
 A Hampel filter (Hampel 1974) about parabolas instead of a median: an arm in motion is nowhere near its neighbours'
-median. Through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} goes a parabola p, twenty in all. Let d_t be
-the fourth smallest of the distances |y_t − p(t)|. Then y_t jumps where d_t > 7 × that of most rows. Two of the six may
-have jumped themselves: four parabolas do without them.
+median. Through every three of the six neighbours y_{t±1}, y_{t±2}, y_{t±3} passes a parabola p, twenty in all. Let d_t
+be the fourth smallest of the distances |y_t − p(t)|. Then y_t jumps where d_t > 7 × that of most rows. Two of the six
+may have jumped themselves: four parabolas do without them.
 
 The first three and the last three rows have fewer neighbours: each is measured by one parabola through rows on its
 inner side, the outermost row last, as the same parabola measures all rows; 5 times are too far there.
@@ -21,10 +21,10 @@ from torch import Tensor
 from invdyn.diagnosis.rules import FIXED
 
 BEYOND = ((1, 3, 4), (1, 2, 4), (1, 2, 3), (2, 3, 4))
-"""Neighbours beyond which a parabola goes on, those first beyond which noise moves it least."""
+"""Neighbours from which a parabola extrapolates, those first beyond which noise moves it least."""
 BACK = tuple(tuple(-k for k in near) for near in BEYOND)
 EDGES = {2: BEYOND, -3: BACK, 1: BEYOND, -2: BACK, 0: BEYOND, -1: BACK}
-"""Neighbours of the first rows and the last: the first ones of which none jumped or was lost count."""
+"""Neighbours of the first rows and the last: the first ones of which none jumped or is missing count."""
 
 
 def calm(time: Tensor, observations: Tensor, starts: Sequence[int] = ()) -> Tensor:
@@ -40,19 +40,19 @@ def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
     jumps[ends] = False
     left = np.where(jumps, np.nan, values)
     for row in ends:
-        asked = np.isfinite(left[row])
+        open_ones = np.isfinite(left[row])
         for near in EDGES[row]:
             away = _beside_parabolas(when, left, near, 1, 1)
-            told = asked & np.isfinite(away[row])
-            left[row, told & _jumps(away, left, FIXED.edge_outlier_ratio)[row]] = np.nan
-            asked &= ~told
+            known = open_ones & np.isfinite(away[row])
+            left[row, known & _jumps(away, left, FIXED.edge_outlier_ratio)[row]] = np.nan
+            open_ones &= ~known
     return left
 
 
 def _jumps(away: np.ndarray, values: np.ndarray, times: float) -> np.ndarray:
     """Which of ``values`` (T, O) are so many times farther from their neighbours' parabolas than most."""
     usual = np.array([_usual(column[np.isfinite(column)]) for column in away.T])
-    # Of what is on its neighbours' course exactly, as at rest in rounded numbers, nobody knows what is usual.
+    # Of what is on its neighbours' course exactly, as at rest in rounded numbers, no distance is usual.
     known = usual > FIXED.rounding * np.nan_to_num(np.abs(values)).max(0)
     return known & (away > times * usual)
 

@@ -1,9 +1,9 @@
 """Prior probabilities of causes.
 
-The number of effects at work comes first, then which ones, then where each acts, all alike:
+The number of effects at work comes first, then which ones, then where each acts, with equal probabilities:
 
     P(0) = .4, P(1) = .5, P(2) = .08, P(3) = .016, P(4) = .004,     P(effect) = 1/E for E effects in the catalogue,
-    P(n + 1) = P(n)/4 for n ≥ 4, where more are asked for,
+    P(n + 1) = P(n)/4 for n ≥ 4, where more are wanted,
     P(place | effect) = 1/places.
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be

@@ -5,7 +5,7 @@
     unknown_torque   the residual is the limb's own torque, of any size; only what it cannot imitate shows
 
 Sizes of the residual are in typical torques. The *spike*, far too small to matter, says "this cause explains all there
-is". The *slab*, sizes spread evenly over the powers of ten up to a typical torque, says "something is left that the
+is". The *slab*, sizes at equal ratios up to a typical torque, says "something is left that the
 residual must imitate" (Mitchell & Beauchamp 1988, JASA 83). Each has half of the prior. A limb's own torque has no
 spike.
 """
@@ -26,12 +26,12 @@ class Regime:
         name: as it stands in diagnosis.json.
         phrase: in the report.
         knows_torque: whether torques are known, so that any residual is a gap.
-        commanded: whether motors were told something.
+        commanded: whether commands to motors are known.
         decay: of the residual torque, 1/s. Friction and the like change several times in a swing, a limb's own torque
             with it.
-        loose: size of the residual under which the data's own path is found; a limb's own torque is larger.
-        firmer: the dynamics' own noise, in that of inference. Where torques are known, what that noise can follow is no
-            gap, and play or bending is so small. A limb's own torque follows more than that.
+        path_size: size of the residual under which the data's own path is found; a limb's own torque is larger.
+        dynamics_noise: the dynamics' own noise, in that of inference. What that noise can follow is no gap, and
+            backlash or bending is so small. A limb's own torque follows more than that.
         levels: (G,) sizes of the residual that are possible.
     """
 
@@ -40,8 +40,8 @@ class Regime:
     knows_torque: bool
     commanded: bool
     decay: float
-    loose: float
-    firmer: float
+    path_size: float
+    dynamics_noise: float
     levels: tuple[float, ...]
 
     @property

@@ -1,4 +1,4 @@
-"""A motion in the terms of the log that tells it: how it counts each joint, and what it told the motors.
+"""A motion in the terms of its log: how it counts each joint, and what it commands.
 
 A log's number v becomes an angle, a torque or a target by the joint's line of the mapping and by the robot's own file,
 
@@ -47,22 +47,22 @@ class Counted:
 
 @dataclass(frozen=True)
 class RobotTerms:
-    """What a robot told its motors along a motion, (R, K) N·m as a model is told it, and how its log counts.
+    """What a robot commands its motors along a motion, (R, K) N·m as a model gets it, and how its log counts.
 
     `sign` (K,): whether the robot's own file counts a joint as the body does, 1, or the other way, −1.
     """
 
     body: Any
-    told: np.ndarray
+    commands: np.ndarray
     sign: np.ndarray
     angle: Counted
     effort: Counted
     target: Counted
 
     @classmethod
-    def of(cls, body: Any, told: np.ndarray, maps: Sequence[JointMap] | None) -> "RobotTerms":
-        """Of commands ``told`` (R, K) to a ``body``; ``maps`` of a log that counts joints as the robot's file does."""
-        K = told.shape[1]
+    def of(cls, body: Any, commands: np.ndarray, maps: Sequence[JointMap] | None) -> "RobotTerms":
+        """Of ``commands`` (R, K) to a ``body``; ``maps`` of a log that counts joints as the robot's file does."""
+        K = commands.shape[1]
         parts = [own or NOTHING for own in getattr(body, "joint_parts", ())] if maps is not None else []
         parts = parts or [NOTHING] * K
         given = list(maps or ()) or [JointMap()] * K
@@ -74,20 +74,20 @@ class RobotTerms:
             origin, gear = np.array([s.origin for s in known]), np.array([s.gear for s in known])
             return Counted(zero + sign * offset, sign * factor, origin, gear, tuple(s.unit for s in known))
 
-        turned = np.array([motor is not None and motor.kind == "position" for motor in servos(body, K)])
+        by_angle = np.array([motor is not None and motor.kind == "position" for motor in servos(body, K)])
         return cls(
             body,
-            told,
+            commands,
             sign,
             counted([own.angle for own in given], zero),
             counted([own.torque for own in given], np.zeros(K)),
-            counted([own.target for own in given], zero * turned),
+            counted([own.target for own in given], zero * by_angle),
         )
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Of all motors (R, K), with what servos answer to angles and velocities (R, K)."""
-        told, angle, velocity = (torch.as_tensor(each) for each in (self.told, q, qd))
-        return np.asarray(answered(self.body, told, angle, velocity).numpy())
+        commands, angle, velocity = (torch.as_tensor(each) for each in (self.commands, q, qd))
+        return np.asarray(answered(self.body, commands, angle, velocity).numpy())
 
     def angles(self, values: np.ndarray, order: Sequence[int], zeros: bool = False) -> np.ndarray:
         """Columns (R, K) of angles, with ``zeros``, or of their derivatives, in another order of the log's own."""
@@ -98,7 +98,7 @@ class RobotTerms:
 
     def commanding(self, order: Sequence[int]) -> "RobotTerms | None":
         """The terms with the log's commands in another order; None where one is a target and the other a torque."""
-        motors = servos(self.body, self.told.shape[1])
+        motors = servos(self.body, self.commands.shape[1])
         if any((motors[k] is None) != (motors[j] is None) for k, j in enumerate(order)):
             return None
         targets = np.array([motor is not None for motor in motors])
@@ -107,26 +107,26 @@ class RobotTerms:
         return self._commanded(np.where(targets, self.target.of(raw), self.effort.of(raw)))
 
     def mirrored(self, joints: Sequence[int]) -> "RobotTerms":
-        """The terms with the commands of some joints turned about their zeros."""
+        """The terms with the commands of some joints mirrored about their zeros."""
         own = self._commands()
-        for k, motor in enumerate(servos(self.body, self.told.shape[1])):
+        for k, motor in enumerate(servos(self.body, self.commands.shape[1])):
             if k in joints:
                 own[:, k] = 2 * (self.effort if motor is None else self.target).zero[k] - own[:, k]
         return self._commanded(own)
 
-    def turned(self, shift: np.ndarray) -> "RobotTerms":
+    def recounted(self, shift: np.ndarray) -> "RobotTerms":
         """The terms with angles counted from elsewhere, less ``shift`` (K,) rad, and targets so that no torque changes.
 
         A servo that answers with −S θ then makes that of its target less S times the shift.
         """
         stiffness = np.array([0.0 if motor is None else motor.stiffness for motor in servos(self.body, len(self.sign))])
         angle = replace(self.angle, zero=self.angle.zero - shift)
-        return replace(self, told=self.told - stiffness * shift, angle=angle)
+        return replace(self, commands=self.commands - stiffness * shift, angle=angle)
 
     @property
     def by_target(self) -> tuple[bool, ...]:
         """Whether each joint's log has a servo's target, and no torque."""
-        return tuple(motor is not None for motor in servos(self.body, self.told.shape[1]))
+        return tuple(motor is not None for motor in servos(self.body, self.commands.shape[1]))
 
     @property
     def stated(self) -> dict[str, set[str | None]]:
@@ -136,7 +136,7 @@ class RobotTerms:
     @property
     def gears(self) -> np.ndarray:
         """How far the file's own actuator of each servo turns for a radian of its joint, (K,): 1 at other joints."""
-        return np.array([1.0 if motor is None else motor.gear for motor in servos(self.body, self.told.shape[1])])
+        return np.array([1.0 if motor is None else motor.gear for motor in servos(self.body, self.commands.shape[1])])
 
     def retargeted(self, factor: float | np.ndarray) -> "RobotTerms":
         """The terms with servos' targets so many times as large, (K,) or one for all, about their zeros."""
@@ -145,21 +145,21 @@ class RobotTerms:
 
     def _commands(self) -> np.ndarray:
         """Torques, and targets in the body's own counting where there are servos, (R, K)."""
-        own = np.array(self.told)
+        own = np.array(self.commands)
         for k, motor in enumerate(servos(self.body, own.shape[1])):
             if motor is not None:
                 own[:, k] = (own[:, k] - motor.bias) / motor.gain
         return own
 
     def _commanded(self, own: np.ndarray) -> "RobotTerms":
-        told = np.array(own)
+        commands = np.array(own)
         for k, motor in enumerate(servos(self.body, own.shape[1])):
             if motor is not None:
-                told[:, k] = servo_torque(motor, own[:, k])
-        return replace(self, told=told)
+                commands[:, k] = servo_torque(motor, own[:, k])
+        return replace(self, commands=commands)
 
 
 def servos(body: Any, joints: int) -> list[Motor | None]:
-    """The servo of each joint, None for those that are told torques."""
+    """The servo of each joint, None for those that take torques."""
     parts = getattr(body, "joint_parts", ()) or [None] * joints
     return [None if own is None else own.servo for own in parts]

@@ -1,4 +1,4 @@
-"""A long recording in the stretches of it that tell most, where evenly spread rows would lie too far apart.
+"""A long recording in its most informative stretches, where evenly spaced rows would lie too far apart.
 
 A diagnosis uses `max_rows` rows. More than `max_row_spacing` apart they no longer show how the arm moves between them,
 so that a long recording is cut into windows, and those are chosen that together make the parameters of a motion known
@@ -7,7 +7,7 @@ best: greedily by the determinant of their information (D-optimal design: Fedoro
     w = argmax log det(A + X_wᵀ X_w),    A ← A + X_wᵀ X_w,    X = (1, y, ẏ, ÿ, tanh(ẏ/v)) of every column y,
 
 each column of X in its own rms. Gravity, damping, inertia and dry friction are known by y, ẏ, ÿ and its sign; no body
-is asked, as encoders and keypoints follow the joints. Windows next to each other are one stretch.
+is needed, as encoders and keypoints follow the joints. Windows next to each other are one stretch.
 
 Shapes: W windows, n rows in each, P = 1 + 4 columns.
 """
@@ -38,7 +38,7 @@ def stretches(recording: Recording, rules: Rules) -> list[Recording]:
     if count <= rules.recording.num_windows:
         return [recording]
     edges = seen[0] + window * np.arange(count + 1)
-    chosen = np.sort(_telling(_information(recording.time, table, edges, apart, rules), rules))
+    chosen = np.sort(_most_informative(_information(recording.time, table, edges, apart, rules), rules))
     pieces = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
     return [
         recording.at((recording.time >= edges[piece[0]]) & (recording.time < edges[piece[-1] + 1])) for piece in pieces
@@ -64,8 +64,8 @@ def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: 
     return np.swapaxes(X, 1, 2) @ X
 
 
-def _telling(information: np.ndarray, rules: Rules) -> np.ndarray:
-    """Numbers (`num_windows`,) of the windows that tell most together, by greedy choice."""
+def _most_informative(information: np.ndarray, rules: Rules) -> np.ndarray:
+    """Numbers (`num_windows`,) of the windows with most information together, by greedy choice."""
     known = rules.recording.window_prior * (information.mean(0) + 1e-9 * np.eye(information.shape[-1]))
     chosen: list[int] = []
     for _ in range(rules.recording.num_windows):

@@ -2,8 +2,8 @@
 
 A diagnosis takes time and memory by the row. A log of 500 rows/s says next to nothing that one of 100 does not say as
 well; what drives the arm in between is known, and a row carries it as it came. Of two streams the rarer one, a camera's
-beside encoders, keeps up to half of the rows. Of a recording too long for that, the stretches that tell most are
-looked at (:mod:`.stretches`).
+with encoders, keeps up to half of the rows. Of a recording too long for that, the most informative stretches are
+used (:mod:`.stretches`).
 """
 
 from collections.abc import Sequence
@@ -51,9 +51,9 @@ def left_out(recordings: Sequence[Recording], rules: Rules = DEFAULT) -> str | N
     total, used = (sum(_rows(_seen(each)) for each in some) for some in (recordings, chain(*parts)))
     if used == total:
         return None
-    spread = f"Of {total} rows with an observation {used} were looked at, spread evenly, with all commands between them"
+    rows = f"Of {total} rows with an observation {used} were used, at even spacing, with all commands between them"
     cut = [_where(each, of) for each, of in zip(recordings, parts, strict=True) if len(of) > 1]
-    return ". ".join([spread, *cut])
+    return ". ".join([rows, *cut])
 
 
 def _where(recording: Recording, parts: Sequence[Recording]) -> str:
@@ -62,7 +62,7 @@ def _where(recording: Recording, parts: Sequence[Recording]) -> str:
     begin = recording.time[0]
     spans = ", ".join(f"{part.time[0] - begin:.4g}–{part.time[-1] - begin:.4g}" for part in parts)
     return (
-        f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} s that tell most were looked at, {spans} s, "
+        f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} with most information were used, {spans} s, "
         "one after the other"
     )
 

@@ -6,7 +6,7 @@ Inverse dynamics are linear in a link's mass m, first moment m c and inertia J a
     τ = Y(q, q̇, q̈) φ + b q̇ + f tanh(q̇/v) + I_a q̈,     φ = φ₀ + δ,     δ ~ N(0, (.3 φ₀)²),     b, f, I_a ≥ 0
 
 The misfit is the root of the least value of mean ((u − τ)/u_rms)² + λ Σ (β/sd)²: 0 where all is explained, 1 where
-nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows. The torque goes through the same
+nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows. The torque passes the same
 window, so that both lose the same.
 
 Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
@@ -31,7 +31,7 @@ from invdyn.recordings.logs.mapping import JointMap
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion and the torques given along it, each (R, K); `terms` are the robot's, None where they are lost."""
+    """A motion and the torques given along it, each (R, K); `terms` are the robot's, None where they are unknown."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -51,7 +51,7 @@ class Motion:
         return replace(self, q=q, qd=qd, qdd=qdd, torque=terms.torque(q, qd), terms=terms)
 
     def scaled(self, angle: Any = 1.0, torque: Any = 1.0, time: float = 1.0) -> "Motion":
-        """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are lost."""
+        """Angles, torques (numbers or (K,)) and times multiplied; the robot's terms are dropped."""
         q, qd, qdd = self.q * angle, self.qd * angle / time, self.qdd * angle / time**2
         return Motion(q, qd, qdd, self.torque * torque, rules=self.rules)
 
@@ -76,11 +76,11 @@ class Motion:
             terms = terms.mirrored(joints)
         return replace(self, q=q, qd=qd, qdd=qdd, torque=terms.torque(q, qd), terms=terms)
 
-    def turned(self, joint: int, zero: float) -> "Motion":
+    def recounted(self, joint: int, zero: float) -> "Motion":
         """A joint's angle counted from elsewhere: less ``zero`` rad, which a servo's torque does not follow."""
         shift = np.zeros(self.q.shape[1])
         shift[joint] = zero
-        return replace(self, q=self.q - shift, terms=None if self.terms is None else self.terms.turned(shift))
+        return replace(self, q=self.q - shift, terms=None if self.terms is None else self.terms.recounted(shift))
 
     def retargeted(self, factor: np.ndarray) -> "Motion | None":
         """Servos' targets times factors (K,), about their zeros; None where no target is known."""
@@ -94,28 +94,28 @@ class Motion:
 class Explained:
     """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order.
 
-    `left` (K,) N·m is the rms of what is not explained, `asked` (K,) N·m of what is; `penalty` is λ Σ (β/sd)².
+    `left` (K,) N·m is the rms of what is not explained, `required` (K,) N·m of what is; `penalty` is λ Σ (β/sd)².
     """
 
     misfit: float
     by_joint: np.ndarray
     values: np.ndarray
     left: np.ndarray
-    asked: np.ndarray
+    required: np.ndarray
     penalty: float
 
     def missed(self, joints: Sequence[int]) -> float:
-        """The misfit of these joints, all if none, in terms of what is asked of them.
+        """The misfit of these joints, all if none, in terms of what is required of them.
 
         No remedy that makes torques small, or another joint's large, makes that better.
         """
-        return float(np.hypot(share(self.left, self.asked, joints), np.sqrt(self.penalty)))
+        return float(np.hypot(share(self.left, self.required, joints), np.sqrt(self.penalty)))
 
 
-def share(left: np.ndarray, asked: np.ndarray, joints: Sequence[int]) -> float:
-    """Of what is ``asked`` (K,) of some joints, all if none, what is ``left`` (K,)."""
+def share(left: np.ndarray, required: np.ndarray, joints: Sequence[int]) -> float:
+    """Of what is ``required`` (K,) of some joints, all if none, what is ``left`` (K,)."""
     of = list(joints) or slice(None)
-    return float(np.linalg.norm(left[of]) / max(float(np.linalg.norm(asked[of])), 1e-300))
+    return float(np.linalg.norm(left[of]) / max(float(np.linalg.norm(required[of])), 1e-300))
 
 
 def smoothings(
@@ -154,7 +154,7 @@ def passive(body: Any, motion: Motion) -> np.ndarray:
 def smoothed(
     time: np.ndarray, angle: np.ndarray, torque: np.ndarray, window: int, rules: Rules = DEFAULT
 ) -> Motion | None:
-    """Even rows of angles (T, K), NaN where missing, and of torques (T, K) that are held from each row to the next.
+    """Even rows of angles (T, K), NaN where missing, and of torques (T, K) that are constant from each row to the next.
 
     None where there are too few rows for the window.
     """
@@ -167,7 +167,7 @@ def smoothed(
     if len(even) < 2 * window or len(even) > 50 * len(seen):
         return None
     rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
-    # held: over half a row before and after each even one, on average
+    # constant: over half a row before and after each even one, on average
     total = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * np.diff(time)[:, None], 0)])
     area = [np.stack([np.interp(even + way * step / 2, time, each) for each in total.T], -1) for way in (-1, 1)]
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
@@ -214,10 +214,10 @@ def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
 
 def as_large(dynamics: Dynamics, body: Any, motion: Motion) -> Motion:
     """The motion with each joint's torques as large as they would have to be."""
-    asked, given = (
+    required, given = (
         np.sqrt((each**2).mean(0)) for each in (inverse(dynamics, body.parameters(), motion), motion.torque)
     )
-    return motion.scaled(torque=asked / np.maximum(given, 1e-12))
+    return motion.scaled(torque=required / np.maximum(given, 1e-12))
 
 
 def joint_regressors(motion: Motion) -> np.ndarray:
@@ -240,16 +240,16 @@ def nominal_link_numbers(body: Any) -> list[np.ndarray]:
 
 def left_by_values(dynamics: Dynamics, body: Any, motion: Motion, values: np.ndarray) -> np.ndarray:
     """Rms (K,) N·m of what a motion's torques miss, with coefficients (P,) that :func:`explain` found in another."""
-    asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
+    required = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
     regressors = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)])
-    left = motion.torque - asked - np.tensordot(values, regressors, 1)
+    left = motion.torque - required - np.tensordot(values, regressors, 1)
     return np.asarray(np.sqrt((left**2).mean(0)))
 
 
 def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
     """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
-    asked = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
-    size, needed = (np.sqrt((each**2).mean(0)) for each in (motion.torque, asked))
+    required = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
+    size, needed = (np.sqrt((each**2).mean(0)) for each in (motion.torque, required))
     unit = np.maximum(np.maximum(size, motion.rules.check.min_torque_scale * needed.max()), 1e-12)
     quantities = nominal_link_numbers(body)
     own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
@@ -269,7 +269,7 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     lower = np.concatenate([np.full(len(own), -3.0), np.zeros(len(joints)), np.full(len(offsets), -np.inf)])
     upper = np.concatenate([np.full(len(own), 3.0), np.full(len(joints), 10.0), np.full(len(offsets), np.inf)])
     rows = (X.reshape(len(X), -1) * sd[:, None]).T / np.sqrt(motion.torque.size)
-    left = ((motion.torque - asked) / unit).ravel() / np.sqrt(motion.torque.size)
+    left = ((motion.torque - required) / unit).ravel() / np.sqrt(motion.torque.size)
     q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(motion.rules.check.ridge) * np.eye(len(sd))]))
     target = q.T @ np.concatenate([left, np.zeros(len(sd))])
     scaled = _bounded(r, target, lower, upper, len(own))

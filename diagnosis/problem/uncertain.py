@@ -16,7 +16,7 @@ from invdyn.models.bodies.protocol import AXES
 from invdyn.models.bodies.scalars import QUANTITIES, UNITS
 
 GEOMETRY = frozenset({"length", "position", "sites"})
-"""Numbers that say where points are, whatever moves them."""
+"""Numbers that say where points are, however they move."""
 IN_SPACE = {"position": "m", "sites": "m"}
 WORDS = {"position": "origin", "sites": "place"}
 """What numbers are called where a user reads them, if otherwise."""

@@ -83,7 +83,7 @@ def unknowns(problem: DiagnosisProblem, effects: Sequence[Effect]) -> Unknowns:
 
 
 def expanded_about(problem: DiagnosisProblem, base: FittedHypothesis) -> tuple[ArmModel, Unknowns, np.ndarray]:
-    """Model, unknowns and their values (p,) that a screen beside ``base`` is expanded about.
+    """Model, unknowns and their values (p,) that a screen with ``base`` is expanded about.
 
     Without a cause those of the body as it is stated: what was found of its numbers has stood in for one.
     """

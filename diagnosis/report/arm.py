@@ -136,7 +136,7 @@ def _short(name: str) -> str:
 
 
 def _words(spot: np.ndarray, lines: list[str], neighbours: list[np.ndarray], level_first: float = 0.5) -> Markup:
-    """Lines of text beside `spot`, in the direction furthest from its neighbours, level ones preferred, then up."""
+    """Lines of text next to `spot`, in the direction furthest from its neighbours, level ones preferred, then up."""
     if not lines:
         return Markup("")
     away = [math.atan2(n[1], n[0]) for n in neighbours]

@@ -1,7 +1,7 @@
 """Figures as SVG in HTML: the box stretches with the page while text and lines keep their size.
 
 A plot is a box of 2000 × 1000 units that the browser stretches to any width; ticks are HTML around it. Everything that
-is written goes through :class:`markupsafe.Markup`, which escapes what files contain.
+is written passes :class:`markupsafe.Markup`, which escapes what files contain.
 """
 
 import math
@@ -35,7 +35,7 @@ def limits(*arrays: np.ndarray, zero: bool = False, margin: float = 0.05) -> tup
 
 
 def thinned(x: np.ndarray, y: np.ndarray, most: int = FIXED.max_plot_points) -> tuple[np.ndarray, np.ndarray]:
-    """At most about `most` points of a line, the lowest and the highest of each stretch, so that no spike is lost."""
+    """At most about `most` points of a line, the lowest and the highest of each stretch, so that every spike stays."""
     if len(x) <= most:
         return x, y
     keep = set()

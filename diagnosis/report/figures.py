@@ -47,17 +47,17 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
         if not np.isfinite(before).any() or not np.isfinite(angle).any():
             continue
         peak = float(np.nanquantile(np.abs(before), 0.98))
-        spread = tracks.residual_before_sd[:, j]
-        doubt = Z90 * float(np.nanmedian(spread)) if np.isfinite(spread).any() else 0.0
+        sd = tracks.residual_before_sd[:, j]
+        doubt = Z90 * float(np.nanmedian(sd)) if np.isfinite(sd).any() else 0.0
         low = max(FIXED.min_map_share * peak, doubt, 1e-9)
         edges = low + max(peak - low, low) * np.array([0.0, 1 / 3, 2 / 3])
         stride = -(-len(angle) // (2 * FIXED.max_plot_points))
-        sides, loud = [], 0.0
+        sides, coloured = [], 0.0
         for words, residual in _sides(before, after):
             plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)
             plot.level(0.0)
             classes = np.where(np.isfinite(residual), np.searchsorted(edges, np.abs(residual)), -1)
-            loud = max(loud, float(np.mean(classes > 0)))
+            coloured = max(coloured, float(np.mean(classes > 0)))
             for c in range(len(edges) + 1):  # large ones last, on top
                 for sign, mask in (("plus", residual >= 0), ("minus", residual < 0)):
                     here = np.flatnonzero(mask & (classes == c))[:: stride if c == 0 else max(stride // 2, 1)]
@@ -66,7 +66,7 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
             sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
         key = [plain(edge, 2) for edge in edges]
         shown = {"joint": name, "before": sides[0], "after": sides[1] if len(sides) > 1 else None}
-        found.append(shown | {"key": key, "quiet": loud <= FIXED.max_quiet_share})
+        found.append(shown | {"key": key, "quiet": coloured <= FIXED.max_quiet_share})
     return found
 
 

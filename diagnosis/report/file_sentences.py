@@ -16,14 +16,14 @@ def changes(diagnosis: Diagnosis) -> list[str]:
             after = change.after
             old, new, low, high = changed(after.unit, change.before, after.mean, after.interval_90)
             found.append(
-                f"Of {finding_words(finding)} the {name.replace('_', ' ')} goes from {old} to {new} "
+                f"Of {finding_words(finding)} the {name.replace('_', ' ')} changes from {old} to {new} "
                 f"(90 % interval {low} to {high})."
             )
     return found
 
 
 def at_edges(diagnosis: Diagnosis) -> list[str]:
-    """Numbers of the best cause that are as large as they are told, and what that means."""
+    """Numbers of the best cause that are at the largest distinguishable value, and what that means."""
     cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
     found = []
     for finding in cause.effects if cause is not None else ():
@@ -42,10 +42,10 @@ def learned(diagnosis: Diagnosis) -> list[str]:
     cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
     if cause is None:
         return []
-    told = {(f.where.get("joint"), EFFECTS[f.effect].filed[name]) for f in cause.effects for name in f.changes}
+    changed_too = {(f.where.get("joint"), EFFECTS[f.effect].filed[name]) for f in cause.effects for name in f.changes}
     found = []
     for number in cause.learned:
-        if number.quantity in PARTS and (number.place, number.quantity) not in told:
+        if number.quantity in PARTS and (number.place, number.quantity) not in changed_too:
             after = number.change.after
             old, new, low, high = changed(after.unit, number.change.before, after.mean, after.interval_90)
             what = f"{number.quantity} of {place_words('joint', number.place)}"
@@ -64,10 +64,10 @@ def written(copy: Written) -> list[str]:
         found = [f"{copy.file} is a plain copy of the simulation: nothing in it is changed."]
     found += [f"Not in it is {words}: {why}." for words, why in copy.unsaid.items()]
     if (tried := copy.rollout) is not None:
-        total, on = tried["total_rms_rad"], "a held-out recording" if tried["held_out"] else "the same recording"
+        total, on = tried["total_rms_rad"], "a withheld recording" if tried["held_out"] else "the same recording"
         before, after = handies("rad", total["before"], total["after"])
         found.append(
-            f"{tried['engine']} replayed {on}, and began anew from the recorded state every {tried['window_s']:g} s. "
+            f"{tried['engine']} replayed {on}, and restarted from the recorded state every {tried['window_s']:g} s. "
             f"Its angles are off by {after} rms with the corrected file, by {before} with the original."
         )
         if what and total["after"] >= total["before"]:

@@ -79,12 +79,12 @@ def apart(write: Callable[[float | None, int], str], *values: float | None, digi
 
 
 def handies(unit: str, *values: float | None) -> list[str]:
-    """Numbers of one kind, each with its unit, told :func:`apart`."""
+    """Numbers of one kind, each with its unit, distinct (:func:`apart`)."""
     return apart(lambda value, digits: handy(value, unit, digits), *values)
 
 
 def changed(unit: str, before: float | None, after: float | None, interval: tuple[float, float]) -> tuple[str, ...]:
-    """What a number was, what it is with its unit, and the ends of its interval, told :func:`apart`."""
+    """What a number was, what it is with its unit, and the ends of its interval, distinct (:func:`apart`)."""
     (old, new), (low, high) = (apart(plain, *two, digits=3) for two in ((before, after), interval))
     return old, with_unit(new, unit), low, high
 

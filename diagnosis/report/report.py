@@ -144,7 +144,7 @@ def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Name, number and note of the few numbers that stand beside the verdict."""
+    """Name, number and note of the few numbers that stand next to the verdict."""
     gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
     tiles = [("Gap", percent(gap.probability), "probability that there is one")]
     nominal, corrected = (gap.elpd_per_frame.get(name) for name in ("nominal", "corrected"))
@@ -163,7 +163,7 @@ def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Every number of the diagnosis beside the figures: name, value, what it means."""
+    """Every number of the diagnosis besides the figures: name, value, what it means."""
     gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
     rows = [
         (
@@ -220,7 +220,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             (
                 "Outside the catalogue",
                 percent(diagnosis.outside.probability),
-                "Probability that something is at work which the catalogue lacks, alone or beside effects that it has.",
+                "Probability that something is at work which the catalogue lacks, alone or with effects that it has.",
             )
         )
     return rows

@@ -16,12 +16,12 @@ def kind(diagnosis: Diagnosis) -> str:
     if not diagnosis.gap.detected:
         return "none"
     cause = best(diagnosis)
-    rival = 0.5 if cause is None else alike(diagnosis, cause)[1]
+    rival = 0.5 if cause is None else indistinguishable(diagnosis, cause)[1]
     if known(diagnosis.outside.probability) and diagnosis.outside.probability > rival:
         return "outside"
     if cause is None:
         return "unclear"
-    return "ambiguous" if len(alike(diagnosis, cause)[0]) > 1 else "cause"
+    return "ambiguous" if len(indistinguishable(diagnosis, cause)[0]) > 1 else "cause"
 
 
 def best(diagnosis: Diagnosis) -> Cause | None:
@@ -29,10 +29,10 @@ def best(diagnosis: Diagnosis) -> Cause | None:
     return max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability, default=None)
 
 
-def alike(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
+def indistinguishable(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ...], float]:
     """What the recording cannot tell from a cause, itself first, in words; and their probability together.
 
-    Two causes are alike where each effect of one is the other's, or in one ambiguity set with it.
+    Two causes are indistinguishable where each effect of one is the other's, or in one ambiguity set with it.
     """
 
     def group(finding: Finding) -> str:
@@ -70,7 +70,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     cause = best(diagnosis)
     if answer == "unclear" or cause is None:
         return f"There is a gap{_place(diagnosis)}, but its cause is open (probability of a gap {probability})."
-    words, together = alike(diagnosis, cause)
+    words, together = indistinguishable(diagnosis, cause)
     if answer == "ambiguous":
         them = "either" if len(words) == 2 else "any of them"
         return (
@@ -151,7 +151,7 @@ def _shares(w: Where) -> tuple[bool, str, dict[str, float]]:
 
 
 def _most(shares: dict[str, float]) -> list[str]:
-    """The places that have the largest share as it is told: none of a tie before the others."""
+    """The places that have the largest share as it is written: of a tie, all."""
     most = max(shares.values(), default=0.0)
     return [name for name, share in shares.items() if share >= most - FIXED.equal_share]
 
@@ -180,7 +180,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    found += [f"{told}." for key in (LEFT_OUT, STEPS) if (told := diagnosis.method.get(key))]
+    found += [f"{text}." for key in (LEFT_OUT, STEPS) if (text := diagnosis.method.get(key))]
     if count := diagnosis.not_looked_at:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
@@ -233,8 +233,8 @@ def _closed(diagnosis: Diagnosis) -> str | None:
     top = largest(at or before)
     if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
         old, new = handies("N·m", top[1], after)
-        goes = f"stays at {old}" if old == new else f"goes from {old} to {new}"
-        parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {goes}")
+        change = f"stays at {old}" if old == new else f"changes from {old} to {new}"
+        parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {change}")
     replayed = [diagnosis.gap.replay_rms_m.get(name) for name in ("corrected", "nominal")]
     if diagnosis.tracks is not None and all(map(known, replayed)):
         new, old = handies("m", *replayed)
@@ -245,7 +245,7 @@ def _closed(diagnosis: Diagnosis) -> str | None:
 
 
 def _each(diagnosis: Diagnosis) -> str | None:
-    """What each of several effects closes that the others leave, and which of them held-out rows do not bear out."""
+    """What each of several effects closes that the others leave, and which of them withheld rows do not confirm."""
     shrinkage = diagnosis.shrinkage
     parts = {key_words(name, diagnosis): part for name, part in shrinkage.by_effect.items() if known(part.gap_closed)}
     if len(parts) < 2:
@@ -265,8 +265,8 @@ def left(diagnosis: Diagnosis) -> list[str]:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
             shares = [share for one, other, share in diagnosis.overlaps if {one, other} <= set(group)]
-            alike = "" if not shares else f" (the changes that they predict are {_range(shares)} alike)"
-            found.append(f"{named(words)} all remain probable: this recording cannot tell them apart{alike}.")
+            similar = "" if not shares else f" (the changes that they predict are {_range(shares)} alike)"
+            found.append(f"{named(words)} all remain probable: this recording cannot tell them apart{similar}.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
 
 

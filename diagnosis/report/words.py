@@ -16,12 +16,12 @@ def effect_words(effect: str) -> str:
 
 
 def meaning(finding: Finding) -> str | None:
-    """What an effect is, in its softer form too; None for one of the user's own."""
+    """What an effect is, in its regularised form too; None for one of the user's own."""
     if finding.effect not in EFFECTS:
         return None
     kind = EFFECTS[finding.effect]
-    softer = [text for name, text in kind.form_words.items() if name in finding.parameters]
-    return "; ".join([kind.meaning, *softer])
+    forms = [text for name, text in kind.form_words.items() if name in finding.parameters]
+    return "; ".join([kind.meaning, *forms])
 
 
 def place_words(kind: str, name: str) -> str:

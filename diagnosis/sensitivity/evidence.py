@@ -109,7 +109,7 @@ def learned(covariance: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
 
 def log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Log of a unit Gaussian's mass between ``low`` and ``high``, also far out."""
-    # Φ is told apart from 1 only on its left side.
+    # Φ differs from 1 in floating point only on its left side.
     mirrored = low > 0
     low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
     upper = log_ndtr(high)

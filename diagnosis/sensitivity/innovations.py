@@ -3,7 +3,7 @@
 The Kalman filter turns observations into independent unit Gaussians w_t = S_t^{-1/2} (y_t − ŷ_t). It is linear: an
 input of unit size into the state (g_t) or into what is seen (d_t) changes w by a column that the same filter, with
 the same gains, makes of the input alone. So the gains, which are costly, are found once, and one pass whitens the data
-and every candidate's input together; whatever follows is least squares on columns (Anderson & Moore 1979, ch. 5;
+and every candidate's input together; what follows is least squares on columns (Anderson & Moore 1979, ch. 5;
 Willsky & Jones 1976, "A generalized likelihood ratio approach to the detection and estimation of jumps").
 
     x_{t+1} = F_t x_t + a_t + Σ_j φ_j g_{t,j} + noise Q_t,    E_t x_t ≈ e_t − Σ_j φ_j d_{t,j}  with unit noise

@@ -1,4 +1,4 @@
-"""What a hinge that nobody sees does along a motion that is known: its path (ψ, ψ̇), driven by it.
+"""What a hidden hinge does along a known motion: its path (ψ, ψ̇), driven by it.
 
 A hinge on a spring follows to first order: ψ_{t+1} = A_t ψ_t + b_t, with A and b by differences about rest, from the
 deflection that the first row would hold. A changes only as the arm turns: where rows are evenly spaced it is worked out
@@ -36,8 +36,8 @@ def latent_response(model: ArmModel, path: Tensor, count: int, rules: Rules = DE
         path = settled(model, path)
         return path, moved(path, rows)
 
-    spread = model.parameters[f"initial.hidden.{model.effects.hinge.key}"]
-    nudges = torch.tensor(spread.tolist(), dtype=path.dtype) * 1e-3
+    sds = model.parameters[f"initial.hidden.{model.effects.hinge.key}"]
+    nudges = torch.tensor(sds.tolist(), dtype=path.dtype) * 1e-3
 
     rest, some = moved(path, rows), _some(model, path[0], rules.screening.slope_turn)
 
@@ -61,8 +61,8 @@ def _some(model: ArmModel, path: Tensor, turn: float) -> Tensor:
     steps, count = model.time.diff(), len(path) - 1
     if steps.max() - steps.min() > FIXED.uneven_spacing * steps.min():
         return torch.arange(count)
-    turned = model.split(path)[1].diff(dim=0).abs().amax(-1).cumsum(0)
-    stretch = (turned / turn).floor()
+    angle = model.split(path)[1].diff(dim=0).abs().amax(-1).cumsum(0)
+    stretch = (angle / turn).floor()
     stretch[-1] = stretch[-1] + 1  # the last one counts
     return torch.cat([torch.zeros(1, dtype=torch.long), stretch.diff().nonzero()[:, 0] + 1])
 

@@ -32,9 +32,9 @@ class Expansion:
 
     Attributes:
         log_evidence: parameters and memory integrated out.
-        mean, covariance: (p,), (p, p) of the parameters, from the point on, under the likeliest memory.
+        mean, covariance: (p,), (p, p) of the parameters, from the point on, under the most probable memory.
         kappa: factor on the noise.
-        memory: the likeliest one.
+        memory: the most probable one.
         gain: nats of ``log_evidence`` that are due to it.
     """
 

@@ -37,8 +37,8 @@ def windows(
 ) -> list[tuple[float, float]]:
     """Stretches of time in which a burst of torque on the joints would explain most: a few for each of three sizes.
 
-    And a short one within the first of them, where that explains surely more: what strikes within a row or two and is
-    then over is not like a long push, however weak.
+    And a short one within the first of them, where that explains more beyond chance: what acts for a row or two
+    differs from a long weak push.
     """
     K = model.body.num_joints
     response = linear.F[:, :, :K].copy()
@@ -105,7 +105,7 @@ def blocks(
     yield found, pieces, first
 
 
-def beside(pieces: Sequence[Columns]) -> Columns:
+def stacked(pieces: Sequence[Columns]) -> Columns:
     """Columns of several effects as one."""
     return Columns(np.concatenate([c.g for c in pieces], -1), np.concatenate([c.d for c in pieces], -1))
 
@@ -186,7 +186,7 @@ def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
 
 
 def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
-    """d′ of the most visible parameter at two thirds of its prior's spread, or of an offset."""
+    """d′ of the most visible parameter at two thirds of its prior's sd, or of an offset."""
     largest = 0.0
     for hypothesis, start in zip(mine, first, strict=True):
         if hypothesis.offset is not None:
@@ -224,7 +224,7 @@ def screen(
     that ``model`` leaves little, so that the smaller sizes do. ``times`` are stretches in which to look for what acts
     for a while; by default those in which it would explain most.
     """
-    problem.budget.ask(*(key_of((*model.effects, effect)) for effect in effects))
+    problem.budget.start(*(key_of((*model.effects, effect)) for effect in effects))
     inputs = [problem.content, *(tuple(model.effects), dict(model.parameters), model.substeps), path, effects]
     inputs += [common.names, common.mean, common.sd, common.lower, common.upper, point, quiet, times]
     run = partial(_screened, problem, model, path, effects, common, point, quiet, times)
@@ -255,7 +255,7 @@ def _screened(
         times = windows(problem, model, path, linear)
     for found, pieces, first in blocks(quick, effects, path, times, problem.rules):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]
-        columns = beside([*pieces, rest])
+        columns = stacked([*pieces, rest])
         problem.budget.spend(FIXED.column_cost * columns.g.shape[-1], model, len(path))
         whitened = products(problem, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
@@ -343,7 +343,7 @@ def screen_in_halves(
 
 
 def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
-    """Effects in two halves that cost alike, fewer than two in one: costliest first, to where less is (Graham 1969)."""
+    """Effects in two halves of equal cost, fewer than two in one: costliest first, to where less is (Graham 1969)."""
     halves: list[list[Effect]] = [[] for _ in costs[:2]] or [[]]
     filled = [0] * len(halves)
     for effect, cost in sorted(costs, key=lambda each: -each[1]):

@@ -1,8 +1,8 @@
 """What a candidate cause would change in the recording: its columns along the data's own path.
 
-Along the path x̄ that the data ask for, an effect with parameters φ moves the next state by f_φ(x̄_t) − f(x̄_t) and
+Along the path x̄ of the data, an effect with parameters φ moves the next state by f_φ(x̄_t) − f(x̄_t) and
 what is seen by h_φ(x̄_t) − h(x̄_t). A parameter that the effect follows in a straight line from "absent" on gives
-one column, the secant over half its prior's spread. The others are laid on a grid. An effect without any
+one column, the secant over half its prior's sd. The others are laid on a grid. An effect without any
 straight-line parameter gives an offset at each grid point, and the local slopes there.
 
 Shapes: T rows, D states, O observations; a :class:`Columns` has J of them.

@@ -65,7 +65,7 @@ def linear_of(problem: DiagnosisProblem, model: ArmModel, path: Tensor, slopes: 
 
     With ``slopes`` that are known, if they are.
     """
-    known = {name: torch.zeros_like(sd) for name, sd in problem.begun.items()}
+    known = {name: torch.zeros_like(sd) for name, sd in problem.initial_scale.items()}
     return linearise(problem.with_residual(1.0, model).replace(**known), path, problem.observations, slopes=slopes)
 
 
@@ -100,9 +100,9 @@ def filter_of(
     scale = np.ones((len(levels), model.state_dim))
     scale[:, :joints] = levels[:, None]
     covariance = square(scale[:, None, :, None] * linear.L)
-    for sd in problem.begun.values():
+    for sd in problem.initial_scale.values():
         covariance[:, [0, *problem.starts], :joints, :joints] += np.diag(sd.numpy() ** 2)
-    late = model.replace(**problem.begun).late(torch.arange(1, len(path))) if problem.begun else None
+    late = model.replace(**problem.initial_scale).late(torch.arange(1, len(path))) if problem.initial_scale else None
     if late is not None:
         ahead = np.setdiff1d(np.arange(1, len(path)), problem.starts)
         covariance[:, ahead[:, None], np.arange(joints), np.arange(joints)] += late.numpy()[ahead - 1] ** 2
@@ -156,7 +156,7 @@ def whiten(
 def _follows(problem: DiagnosisProblem, seen: np.ndarray) -> np.ndarray:
     """Of what was ``seen`` (T, O) that which was seen in the row before, too, at the usual distance.
 
-    Nothing where the torque is unknown: a limb's own may be smoother than its prior, and make errors alike by that.
+    Nothing where the torque is unknown: a limb's own may be smoother than its prior, and correlate errors by that.
     """
     apart = problem.model.dt[: len(seen)].numpy()
     near = (apart < problem.rules.residual.max_interval_ratio * np.median(apart)) & problem.regime.knows_torque

@@ -52,7 +52,7 @@ class FileChange:
 
     @property
     def comment(self) -> str:
-        """What stands beside it in a file."""
+        """Its comment in a file."""
         low, high = self.interval_90
         return (
             f"invdyn: {self.quantity} of {self.place or 'the whole'} from {self.before:.4g} to {self.after:.4g} "
@@ -132,15 +132,15 @@ def _part(quantity: str, parameter: str) -> Callable[[Finding, ArticulatedBody],
 
 
 def _spring(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
-    """Two springs are one: k = k₀ + Δk, which rests where their torques balance."""
+    """Two springs are one: k = k₀ + Δk, at rest where their torques balance."""
     joint = finding.where["joint"]
     own, k, rest = _joint(body, joint), finding.parameters["stiffness"], finding.parameters["rest_angle"]
     total = own.stiffness + k.mean
     whole = (own.stiffness * own.rest + k.mean * rest.mean) / total if total > 0 else own.rest
     stiffer = _raised(finding, joint, "stiffness", "stiffness", own.stiffness)
     shift = whole - rest.mean
-    turned = FileChange(joint, "rest", own.rest, whole, _moved(rest, shift), "rad", finding.key)
-    return [stiffer, turned]
+    rest_change = FileChange(joint, "rest", own.rest, whole, _moved(rest, shift), "rad", finding.key)
+    return [stiffer, rest_change]
 
 
 def _gain(finding: Finding, body: ArticulatedBody) -> list[FileChange]:

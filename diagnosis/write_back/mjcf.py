@@ -9,7 +9,7 @@
     gravity                                         gravity of the option
 
 Joints and bodies are found by their number, which follows the file's order, so that they need no names. Of elements
-that an included file has, nothing is written: what is included may be somebody else's.
+that an included file has, nothing is written: what is included may belong to others.
 """
 
 from collections.abc import Sequence
@@ -97,12 +97,12 @@ class Writer:
     def _zero(self, element: Element, joint: int, off: float, comment: str) -> None:
         """A joint counted from elsewhere; its stops and its spring's rest stay where they are in the world."""
         adr, limited = self.model.jnt_qposadr[joint], bool(self.model.jnt_limited[joint])
-        turned = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and self.degrees
+        in_degrees = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and self.degrees
         angles = {"ref": [self.model.qpos0[adr]]}
         angles |= {"springref": [self.model.qpos_spring[adr]]} if self.model.jnt_stiffness[joint] else {}
         angles |= {"range": self.model.jnt_range[joint]} if limited else {}
         moved = {key: np.asarray(value) + off for key, value in angles.items()}
-        said = {key: _row(np.degrees(value) if turned else value) for key, value in moved.items()}
+        said = {key: _row(np.degrees(value) if in_degrees else value) for key, value in moved.items()}
         self.text.change(element, comment, **said)
 
     def _parts(self, joint: str) -> JointParts:

@@ -20,10 +20,10 @@ def rewritten(content: bytes, body: ArticulatedBody, changes: Sequence[FileChang
     lines = content.decode("utf-8").splitlines()
     names = [link["name"] for link in tomllib.loads(content.decode("utf-8"))["links"]]
     unsaid: dict[str, str] = {}
-    turned = [change for change in changes if change.quantity.startswith("gravity")]
-    if turned and not _gravity(lines, body, turned):
-        unsaid |= {change.words: "change it among the file's first lines" for change in turned}
-    for change in (each for each in changes if each not in turned):
+    gravity = [change for change in changes if change.quantity.startswith("gravity")]
+    if gravity and not _gravity(lines, body, gravity):
+        unsaid |= {change.words: "change it among the file's first lines" for change in gravity}
+    for change in (each for each in changes if each not in gravity):
         if change.quantity in JOINT:
             joint = body.joint_names.index(change.place)
             link = next(k for k in range(len(body.link_names)) if joint in body.moved_by(k))
@@ -38,26 +38,26 @@ def rewritten(content: bytes, body: ArticulatedBody, changes: Sequence[FileChang
         starts = [n for n, line in enumerate(lines) if HEADER.match(line)]
         begin = starts[names.index(body.link_names[link])] + 1
         stop = next((n for n in range(begin, len(lines)) if TABLE.match(lines[n])), len(lines))
-        told = f"{change.quantity} = {change.after!r}  # {change.comment}"
+        line_of = f"{change.quantity} = {change.after!r}  # {change.comment}"
         at = [n for n in range(begin, stop) if re.match(rf"^\s*{change.quantity}\s*=", lines[n])]
         if at:
-            lines[at[0]] = told
+            lines[at[0]] = line_of
         else:
             last = max((n for n in range(begin, stop) if lines[n].strip()), default=begin - 1)
-            lines.insert(last + 1, told)
+            lines.insert(last + 1, line_of)
     return ("\n".join(lines) + "\n").encode(), unsaid
 
 
 def _gravity(lines: list[str], body: ArticulatedBody, changes: Sequence[FileChange]) -> bool:
     """Whether the body's gravity could be written; a key of several lines cannot."""
     to = dict(zip(AXES, body.gravity, strict=False)) | {each.quantity[-1]: each.after for each in changes}
-    told = f"gravity = [{', '.join(map(repr, to.values()))}]  # {'; '.join(each.comment for each in changes)}"
+    line_of = f"gravity = [{', '.join(map(repr, to.values()))}]  # {'; '.join(each.comment for each in changes)}"
     first = next((n for n, line in enumerate(lines) if TABLE.match(line)), len(lines))
     at = [n for n, line in enumerate(lines[:first]) if re.match(r"^\s*gravity\s*=", line)]
     if not at:
-        lines.insert(0, told)
+        lines.insert(0, line_of)
     elif WHOLE.match(lines[at[0]]):
-        lines[at[0]] = told
+        lines[at[0]] = line_of
     else:
         return False
     return True

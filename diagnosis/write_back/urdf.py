@@ -2,7 +2,7 @@
 and its moments.
 
 What URDF has no word for (rotors, springs, delays, gains, gravity) is named. So is a centre of mass that moved, with
-all that goes with it, and a link whose mass is not that of one `<inertial>`: links fixed to each other are one.
+all that depends on it, and a link whose mass is not that of one `<inertial>`: links fixed to each other are one.
 """
 
 import math
@@ -16,7 +16,7 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 ELSEWHERE = {
     ZERO: ZERO_ELSEWHERE,
     "payload": "give the last link that mass",
-    "gravity": "URDF has no word for it; whatever plays the file has a gravity of its own",
+    "gravity": "URDF has no word for it; the simulator that reads the file has a gravity of its own",
 }
 BY_HAND = "change the link's inertial element"
 
@@ -41,12 +41,12 @@ def rewritten(content: bytes, changes: Sequence[FileChange]) -> tuple[bytes, dic
         if own:
             text.change(own[0], change.comment, **{attribute: value})
         else:
-            _, attributes, told = new.setdefault((joint.start, tag), (joint, {}, []))
+            _, attributes, comments = new.setdefault((joint.start, tag), (joint, {}, []))
             attributes[attribute] = value
-            told.append(change.comment)
-    for (_, tag), (joint, attributes, told) in new.items():
+            comments.append(change.comment)
+    for (_, tag), (joint, attributes, comments) in new.items():
         said = " ".join(f'{name}="{value}"' for name, value in attributes.items())
-        text.insert(joint, f"<{tag} {said}/>", "; ".join(told))
+        text.insert(joint, f"<{tag} {said}/>", "; ".join(comments))
     for link, several in of_links.items():
         if not _weighed(text, link, several):
             unsaid |= {f"{change.quantity} of {link}": BY_HAND for change in several}

@@ -53,16 +53,16 @@ def write_back(
         why = "there is no gap that a file should change for" if not diagnosis.gap.detected else "no cause was found"
         return replace(diagnosis, written=Written(str(out), (), {}, why))
     content = read_whole(source, body_xml.MOST_BYTES)
-    asked = correction(cause, body)
+    wanted = correction(cause, body)
     mjcf = body_xml.is_xml(content) and b"<mujoco" in content
     if mjcf:
         from invdyn.diagnosis.write_back import mjcf as writer
 
-        new, left = writer.rewritten(content, str(source), body, asked.changes)
+        new, left = writer.rewritten(content, str(source), body, wanted.changes)
     elif body_xml.is_xml(content):
-        new, left = urdf.rewritten(content, asked.changes)
+        new, left = urdf.rewritten(content, wanted.changes)
     else:
-        new, left = toml.rewritten(content, body, asked.changes)
+        new, left = toml.rewritten(content, body, wanted.changes)
     tried = None
     with atomic_path(out) as temporary:
         temporary.write_bytes(new)
@@ -78,10 +78,10 @@ def write_back(
             "unit": each.unit,
             "effect": each.effect,
         }
-        for each in asked.changes
+        for each in wanted.changes
         if each.words not in left
     )
-    written = Written(str(out), changes, {**asked.unsaid, **left}, rollout=tried)
+    written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried)
     return replace(diagnosis, written=written)
 
 

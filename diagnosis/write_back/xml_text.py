@@ -83,11 +83,11 @@ class XmlText:
             for name, value in attributes.items():
                 head = _with_attribute(head, name, value)
             indent = _indent(self.content, element.start)
-            told = "".join(f"{_comment(each)}\n{indent}" for each in comments if each)
+            said = "".join(f"{_comment(each)}\n{indent}" for each in comments if each)
             closing = 2 if head.endswith("/>") else 1
             # what an insertion may change, the end of the tag, stays out of it
             was = 2 if self.content[element.head - 2 : element.head] == b"/>" else 1
-            edits.append((element.start, element.head - was, (told + head[:-closing]).encode()))
+            edits.append((element.start, element.head - was, (said + head[:-closing]).encode()))
         text = self.content
         for start, stop, new in sorted(edits, key=lambda edit: -edit[0]):
             text = text[:start] + new + text[stop:]

@@ -49,10 +49,10 @@ def test_work_is_passes_along_rows_by_states_and_sub_steps():
     budget.spend(2.0, model, 100)
     assert budget.done == 400.0  # each of five sub-steps a quarter of what a row takes, and three for the row
     budget.share = 0.5
-    budget.ask("payload")
+    budget.start("payload")
     budget.spend(0.5, model, 100)
     with pytest.raises(Spent):
-        budget.ask("payload", "armature")
+        budget.start("payload", "armature")
     assert budget.missed == {"payload", "armature"}
 
 

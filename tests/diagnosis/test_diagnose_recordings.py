@@ -51,7 +51,7 @@ def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
     """And of what the camera does nothing is: no torque is missing."""
     assert diagnosed().to_json()["where"]["depends_on"] == ["velocity:pivot"]
     off = recording_of(EFFECTS["keypoint_offset"]("tip"), rows=80, along=0.0, across=0.03)
-    with pytest.warns(UserWarning, match="off all along.*, or a marker aside"):
+    with pytest.warns(UserWarning, match="off all along.*, or a shifted marker"):
         found = diagnose(off, PENDULUM, without=MANY)
     assert {effect.side for effect in found.causes[0].effects} == {"observation"}
     assert found.where.depends_on == ()

@@ -10,7 +10,7 @@ import torch
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
 from invdyn.diagnosis.assessment.credible import credible
-from invdyn.diagnosis.assessment.model_posterior import _alone, only, weigh
+from invdyn.diagnosis.assessment.model_posterior import only, share_explained, weigh
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
@@ -41,7 +41,7 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
 
     def share(left, gain=50.0):
         left = replace(cause, by_size=np.where(levels == levels[left], 0.0, -60.0), log_evidence=gain)
-        return _alone(bound, HypothesisPool([], {"": needed, left.key: left}, [], none.path, False), left)
+        return share_explained(bound, HypothesisPool([], {"": needed, left.key: left}, [], none.path, False), left)
 
     assert share(0) > 0.99
     assert share(2) > 0.99  # 2.4 % of the needed one
@@ -52,7 +52,7 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) < 0.01
     plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
     assert (
-        _alone(bound, HypothesisPool([], {"": plain}, [], none.path, False), plain) < 0.01
+        share_explained(bound, HypothesisPool([], {"": plain}, [], none.path, False), plain) < 0.01
     )  # but it is more than no gap
 
 
@@ -71,9 +71,9 @@ def test_a_torque_under_the_tolerance_is_not_left():
     cause = replace(none, effects=(friction,), log_evidence=50.0, **known)
     left = replace(cause, by_size=np.where(levels == levels[2], 0.0, -600.0))
     pool = HypothesisPool([], {"": needed, left.key: left}, [], none.path, False)
-    assert _alone(bound, pool, left) == 0.0
-    assert _alone(tolerating(bound, 1.1 * levels[2]), pool, left) > 0.99
-    assert _alone(tolerating(bound, 0.9 * levels[2]), pool, left) == 0.0
+    assert share_explained(bound, pool, left) == 0.0
+    assert share_explained(tolerating(bound, 1.1 * levels[2]), pool, left) > 0.99
+    assert share_explained(tolerating(bound, 0.9 * levels[2]), pool, left) == 0.0
 
 
 def test_what_is_not_credible_explains_a_part_only():
@@ -88,7 +88,7 @@ def test_what_is_not_credible_explains_a_part_only():
         found = {"names": tuple(keys), "mean": np.array(list(keys.values())), "covariance": 1e-8 * np.eye(len(keys))}
         sought = {"noise": keys, "noise_sd": dict.fromkeys(keys, 1e-4)}
         cause = replace(none, effects=(effect,), **(sought if searched else found))
-        return _alone(bound, pool, cause)
+        return share_explained(bound, pool, cause)
 
     assert share(spring, {"stiffness": 0.1, "torque": 0.2}) > 0.9
     assert share(spring, {"stiffness": 0.1, "torque": 2.0}) == 0.0
@@ -106,11 +106,11 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
     pool = HypothesisPool([], {"": none}, [], path, False)
     assert correlation(prediction_errors(bound, wrong))[0] > max(DEFAULT.residual.max_error_correlation, 0.5)
-    assert _alone(bound, pool, wrong) == 0.0
+    assert share_explained(bound, pool, wrong) == 0.0
     alike, chance = correlation(prediction_errors(bound, right))
     assert chance == pytest.approx(1 / np.sqrt(2 * 79))
     assert abs(alike) < 4 * chance
-    assert _alone(bound, pool, right) > 0.9
+    assert share_explained(bound, pool, right) > 0.9
 
 
 def test_a_residual_that_is_small_and_surely_there_is_left():
@@ -125,9 +125,11 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
     def with_residual(nats):
         return replace(right, by_size=prior + np.where(first, 0.0, np.where(np.arange(len(first)) == 1, nats, -1000.0)))
 
-    assert _alone(tolerating(bound, 0.001), pool, with_residual(14.0)) > 0.9
-    assert _alone(tolerating(bound, 0.001), pool, with_residual(16.0)) == 0.0
-    assert _alone(tolerating(bound, 0.01), pool, with_residual(16.0)) > 0.9  # it is 2 thousandths of a typical torque
+    assert share_explained(tolerating(bound, 0.001), pool, with_residual(14.0)) > 0.9
+    assert share_explained(tolerating(bound, 0.001), pool, with_residual(16.0)) == 0.0
+    assert (
+        share_explained(tolerating(bound, 0.01), pool, with_residual(16.0)) > 0.9
+    )  # it is 2 thousandths of a typical torque
 
 
 def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
@@ -139,8 +141,8 @@ def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
         (DEFAULT.residual.max_shared_outliers, False),
         (DEFAULT.residual.max_shared_outliers + DEFAULT.residual.error_margin * 0.1 + 0.01, True),
     ):
-        monkeypatch.setattr(module, "in_concert", lambda *_, company=company: (company, 0.1))
-        assert (_alone(bound, pool, right) == 0.0) is left
+        monkeypatch.setattr(module, "shared_outliers", lambda *_, company=company: (company, 0.1))
+        assert (share_explained(bound, pool, right) == 0.0) is left
 
 
 @pytest.mark.quick("True-True", "False-*")
@@ -157,7 +159,9 @@ def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monk
         dragged = replace(dragged, by_size=dragged.by_size - np.where(spike, 1e4, 0.0))
     pool = HypothesisPool(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
     alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
-    monkeypatch.setattr(sys.modules[_alone.__module__], "_alone", lambda _, __, cause: alone[cause.key])
+    monkeypatch.setattr(
+        sys.modules[share_explained.__module__], "share_explained", lambda _, __, cause: alone[cause.key]
+    )
     weighed = weigh(bound, pool, 0)
     both = [weighed.causes[c.key][1] + weighed.in_part[c.key] for c in (damped, dragged)]
     evidence = [weighed.log_evidence[c.key] - c.log_evidence for c in (damped, dragged)]
@@ -175,8 +179,8 @@ def test_errors_larger_than_the_noise_at_rest_are_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     pool = HypothesisPool([], {"": none}, [], path, False)
     assert right.kappa == pytest.approx(1.0, abs=0.2)
-    assert _alone(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio + 0.1)) == 0.0
-    assert _alone(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio - 0.1)) > 0.9
+    assert share_explained(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio + 0.1)) == 0.0
+    assert share_explained(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio - 0.1)) > 0.9
 
 
 @pytest.mark.long
@@ -198,8 +202,8 @@ def test_where_errors_lie_along_the_motion_something_is_left():
         alike < DEFAULT.residual.max_error_correlation + DEFAULT.residual.error_margin * chance
     )  # no other rule speaks against it
     assert wrong.kappa < DEFAULT.residual.max_error_ratio
-    assert _alone(bound, pool, wrong) == 0.0
-    assert _alone(bound, pool, right) > 0.9
+    assert share_explained(bound, pool, wrong) == 0.0
+    assert share_explained(bound, pool, right) > 0.9
 
 
 @pytest.mark.quick("restless-1.1-True")
@@ -216,7 +220,7 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
         recording = record(arm, 1)[0]
     bound = diagnosis_problem(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
     assert bound.regime == UNKNOWN_TORQUE
-    none = refine(bound, (), {}, data_path(bound)[0], bound.regime.loose)
+    none = refine(bound, (), {}, data_path(bound)[0], bound.regime.path_size)
     pool = HypothesisPool([], {"": none}, [], none.path, False)
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)
@@ -239,9 +243,12 @@ def test_stribeck_friction_that_is_less_at_rest_is_coulomb_friction(static, gain
     mine = {"names": tuple(f"{stribeck.key}.{name}" for name in values), "mean": np.array([*values.values()])}
     curved = replace(dry, effects=(stribeck.bound(bound.model.body),), log_evidence=most, **mine)
     pool = HypothesisPool(considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
-    module, silent = sys.modules[_alone.__module__], SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan)
+    module, silent = (
+        sys.modules[share_explained.__module__],
+        SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan),
+    )
     shares = {none.key: 0.0, dry.key: alone, curved.key: 0.0}
-    monkeypatch.setattr(module, "_alone", lambda _, __, cause: shares[cause.key])
+    monkeypatch.setattr(module, "share_explained", lambda _, __, cause: shares[cause.key])
     monkeypatch.setattr(module, "confirm_all", lambda _, causes, *__: [silent] * len(causes))
     weighed = weigh(bound, pool, 0)
     assert (weighed.causes[curved.key][1] + weighed.in_part[curved.key] == 0) is gives_way

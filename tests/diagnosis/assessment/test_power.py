@@ -74,5 +74,5 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
 def test_an_unknown_torque_may_be_of_any_size():
     bound = diagnosis_problem(replace(film(1000, 0.1), torques=None), PENDULUM)
     path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, bound.regime.loose, rounds=1)
+    none = refine(bound, (), {}, path, bound.regime.path_size, rounds=1)
     assert too_little(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray)) is None

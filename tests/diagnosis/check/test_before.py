@@ -50,7 +50,7 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
         (lambda log: {"angles": np.add(log.angles, [0.4, 0])}, "unless it is gravity that is tilted"),
         (
             lambda log: {"torques": np.add(log.torques, [0, 0.6])},
-            "unless it is a spring's torque, a stop's, or a marker aside",
+            "unless it is a spring's torque, a stop's, or a shifted marker",
         ),
     ],
 )
@@ -182,11 +182,11 @@ def test_units_are_asked_for_once_and_by_one_function(tmp_path, monkeypatch, com
 def test_what_is_refused_is_printed_and_passed_by_force(log):
     """The option, and the same in Python; what is said is what would have been refused."""
     wrong = replace(log, torques=log.torques * [1, -1])
-    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* goes on, by --force"):
+    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* continued, by --force"):
         check_before(Reading(wrong), ARM, force=True)
-    with pytest.warns(UserWarning, match="are in degrees, it seems.* goes on, by --force"):
+    with pytest.warns(UserWarning, match="are in degrees, it seems.* continued, by --force"):
         check_before(Reading(replace(log, angles=np.degrees(log.angles))), ARM, force=True)
-    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* goes on, by --force"):
+    with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* continued, by --force"):
         diagnosis_problem(wrong, ARM, force=True)
 
 
@@ -203,5 +203,5 @@ def test_the_option_goes_past_a_refusal(tmp_path, log, monkeypatch):
         warnings.simplefilter("always")  # the command prints them
         passed = diagnosed(tmp_path, "log.csv", "--force").output
     assert "the angles are exchanged" in passed
-    assert "goes on, by --force" in passed
+    assert "continued, by --force" in passed
     assert "begun by force: True" in passed

@@ -11,7 +11,7 @@ from invdyn.diagnosis.hypotheses.add import add, refine_best
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.swap import softer
+from invdyn.diagnosis.hypotheses.swap import regularised
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.rules import DEFAULT
@@ -26,9 +26,9 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     module, asked = sys.modules[add.__module__], []
     bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
-    none = refine(bound, (), {}, path, bound.regime.loose, rounds=1)
+    none = refine(bound, (), {}, path, bound.regime.path_size, rounds=1)
     monkeypatch.setattr(module, "show_more", lambda *_: left)
-    monkeypatch.setattr(module, "idle", lambda _: none.log_evidence + 500.0)
+    monkeypatch.setattr(module, "best_imitable_evidence", lambda _: none.log_evidence + 500.0)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
     add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
     assert set(asked) == {-DEFAULT.search.large_screen_error if left else 500}
@@ -46,7 +46,7 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     path, stray = data_path(bound)
     friction = EFFECTS["viscous_friction"]("pivot")
     none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (friction,)))
-    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, stray, aside=path)
+    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, stray, simulation_path=path)
 
     def refined(_, pool, base, best, width):
         pool.add(found)
@@ -179,7 +179,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
             plausible=plausible or effect.soft,
         )
 
-    for room in (add, softer):
+    for room in (add, regularised):
         monkeypatch.setattr(sys.modules[room.__module__], "refine", refined_one)
     found = HypothesisPool(some, {"": none}, [], path, stray)
     refine_best(bound, found, none, screened, 9)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, path_of
 
-from invdyn.diagnosis.hypotheses.backlash_search import Play, refine_play, summit
+from invdyn.diagnosis.hypotheses.backlash_search import BacklashFit, refine_backlash, summit
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
@@ -29,12 +29,12 @@ def loose_joint():
 
 
 def widths(here, none, play):
-    return Play(here, none, play, play.parameters(here.model.scale)[0])
+    return BacklashFit(here, none, play, play.parameters(here.model.scale)[0])
 
 
 @cache
 def searched():
-    return refine_play(*loose_joint())
+    return refine_backlash(*loose_joint())
 
 
 @pytest.mark.long
@@ -62,7 +62,7 @@ def test_play_is_searched_and_found():
     assert cause.log_evidence > none.log_evidence + 20
     assert cause.noise["backlash.pivot.width"] == pytest.approx(0.06, rel=0.1)
     assert cause.path.shape[-1] == none.path.shape[-1] + 2
-    assert refine_play(here, none, play, cause.log_evidence + 100) is None
+    assert refine_backlash(here, none, play, cause.log_evidence + 100) is None
     # Its evidence has the width integrated out, and what an integral added to the base's is in that of each width.
     there = widths(here, none, play).refined(cause.noise["backlash.pivot.width"])
     assert set(cause.noise_log) == {"backlash.pivot"}
@@ -96,9 +96,9 @@ def test_what_the_narrowest_gap_explains_as_well_is_not_followed(monkeypatch, ga
     """Nats by width along the base's path: as good at any small one, no gap is needed; a peak there needs one."""
     here, none, play = loose_joint()
     asked = []
-    monkeypatch.setattr(Play, "along_base", lambda _, widths: [none.log_evidence + nats for nats in gained])
-    monkeypatch.setattr(Play, "refined", lambda _, width: asked.append(width))
-    assert refine_play(here, none, play) is None
+    monkeypatch.setattr(BacklashFit, "along_base", lambda _, widths: [none.log_evidence + nats for nats in gained])
+    monkeypatch.setattr(BacklashFit, "refined", lambda _, width: asked.append(width))
+    assert refine_backlash(here, none, play) is None
     assert bool(asked) is followed
 
 
@@ -111,8 +111,8 @@ def test_wide_play_is_found_from_a_base_that_it_bends():
     recording = record(arm.with_effects(play).replace(**{f"effect.{name}": torch.tensor([0.16]).double()}), 0)[0]
     here, play = diagnosis_problem(recording, body), play.bound(body)
     none = refine(here, (), {}, data_path(here)[0], LOOSE)
-    cause = refine_play(here, none, play)
-    known = Play(here, none, play, play.parameters(here.model.scale)[0]).refined(0.16)
+    cause = refine_backlash(here, none, play)
+    known = BacklashFit(here, none, play, play.parameters(here.model.scale)[0]).refined(0.16)
     assert known.complete
     assert cause.noise[name] == pytest.approx(0.16, rel=0.05)
     assert cause.log_evidence > known.log_evidence - 10

@@ -44,12 +44,12 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     }
     tried = []
 
-    def softer(problem, cause, mine, **limits):
+    def regularised(problem, cause, mine, **limits):
         tried.append((cause.key, mine.key))
         return causes[soft,] if mine is friction and len(cause.effects) == 1 else None
 
     monkeypatch.setattr(sys.modules[drop.__module__], "without", lambda _, whole, effect, size: None)
-    monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.swap"], "softer", softer)
+    monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.swap"], "regularised", regularised)
     pool = {causes[effects].key: causes[effects] for effects in ((friction,), (friction, other), (other,))}
     found = HypothesisPool(considered(bound), {"": none, **pool}, [], path, stray)
     assert found.ranked[0].key == key_of((friction, other))

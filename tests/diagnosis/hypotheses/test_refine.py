@@ -29,7 +29,7 @@ from scipy.stats import halfnorm
 
 from invdyn.diagnosis.assessment.confirm import confirm
 from invdyn.diagnosis.assessment.findings import finding, tempered_covariance
-from invdyn.diagnosis.hypotheses.continuation import data_path, firmed, led, lifted
+from invdyn.diagnosis.hypotheses.continuation import continued, data_path, lifted, with_smaller_residual
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import scores
@@ -159,7 +159,7 @@ def test_a_path_is_led_through_what_sticks():
     by_itself = gauss_newton(
         here.with_residual(DEFAULT.residual.min_path_size, model), here.observations, start=free, max_iterations=24
     )
-    path = led(here, model, free, DEFAULT.residual.min_path_size)
+    path = continued(here, model, free, DEFAULT.residual.min_path_size)
     quiet = gauss_newton(
         here.with_residual(DEFAULT.residual.min_path_size, model), here.observations, start=path, max_iterations=1
     )
@@ -171,22 +171,22 @@ def test_a_path_is_kept_where_leading_it_would_do_worse(monkeypatch):
     """The better of both paths under the smaller residual; where nothing sticks, none is led."""
     here, effect, values = rubbed(0.3, 1.0)
     model = here.model.with_effects(effect).replace(**values)
-    right = led(here, model, path_of(here), DEFAULT.residual.min_path_size)
+    right = continued(here, model, path_of(here), DEFAULT.residual.min_path_size)
     quiet = here.with_residual(DEFAULT.residual.min_path_size, model)
-    paths = sys.modules[led.__module__]
-    monkeypatch.setattr(paths, "led", lambda *_: path_of(here))
-    kept = firmed(here, model, right, DEFAULT.residual.min_path_size)
+    paths = sys.modules[continued.__module__]
+    monkeypatch.setattr(paths, "continued", lambda *_: path_of(here))
+    kept = with_smaller_residual(here, model, right, DEFAULT.residual.min_path_size)
     assert quiet.log_joint(kept, here.observations) >= quiet.log_joint(right, here.observations) - 1e-6
-    monkeypatch.setattr(paths, "led", lambda *_: right)
+    monkeypatch.setattr(paths, "continued", lambda *_: right)
     assert (
-        firmed(here, model, path_of(here), DEFAULT.residual.min_path_size) is right
+        with_smaller_residual(here, model, path_of(here), DEFAULT.residual.min_path_size) is right
     )  # Gauss–Newton by itself goes astray from there
 
     def never(*_):
         raise AssertionError
 
-    monkeypatch.setattr(paths, "led", never)
-    smooth = firmed(here, here.model, path_of(here), DEFAULT.residual.min_path_size)
+    monkeypatch.setattr(paths, "continued", never)
+    smooth = with_smaller_residual(here, here.model, path_of(here), DEFAULT.residual.min_path_size)
     assert here.with_residual(DEFAULT.residual.min_path_size).log_joint(smooth, here.observations).isfinite()
 
 

@@ -14,7 +14,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import _mistaken, _moves, _sought, search
+from invdyn.diagnosis.hypotheses.search import _moves, _refine_tracker_errors, _run, search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
@@ -99,7 +99,7 @@ def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
     none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (drag, rotor)))
     found = HypothesisPool([friction, drag, rotor], {"": none, other.key: other}, [], path, stray)
     assert found.ranked[0] is other
-    _sought(bound, found)
+    _run(bound, found)
     best = found.ranked[0]
     assert {effect.key for effect in best.effects} == {friction.key, rotor.key}
     assert [best.values[name.removeprefix("effect.")] for name in values] == pytest.approx([0.05, 0.02], rel=0.15)
@@ -181,7 +181,7 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
                 pool.add(of[each])
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
-    _sought(diagnosis_problem(recording_of(), PENDULUM), found)
+    _run(diagnosis_problem(recording_of(), PENDULUM), found)
     assert asked == ["add ", "add a", "exchange a", "drop abc", "add abc", "exchange abc"]
 
 
@@ -278,7 +278,7 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
         return replace(none, effects=effects, log_evidence=none.log_evidence + nats, by_size=by_size)
 
     mistaken = like(cleared, outliers, nats=200.0 if strays else -200.0)
-    found = HypothesisPool([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, aside=path)
+    found = HypothesisPool([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, simulation_path=path)
 
     def promising(_, pool, base, given, width):
         asked.append((base.key, given, width))
@@ -287,7 +287,7 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
     monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
     monkeypatch.setattr(module, "screened_with", lambda *_: screened)
     monkeypatch.setattr(module, "refine_best", promising)
-    _mistaken(bound, found)
+    _refine_tracker_errors(bound, found)
     assert asked == ([] if taken is None else [("", screened, DEFAULT.search.max_candidates_for_outliers)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])

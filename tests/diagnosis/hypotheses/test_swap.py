@@ -77,7 +77,7 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
 @pytest.mark.long
 def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
-    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
+    monkeypatch.setattr(SWAP, "regularised", lambda *_, **__: None)
     truth = EFFECTS["stribeck_friction"]("pivot")
     bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
     path, stray = data_path(bound)
@@ -103,7 +103,7 @@ def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
 @pytest.mark.parametrize("form", [(), ("sliding",)], ids=["lags", "slides"])
 def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(monkeypatch, form):
     """In place of tissue at its own tip, in the best cause alone, and once."""
-    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
+    monkeypatch.setattr(SWAP, "regularised", lambda *_, **__: None)
     truth = EFFECTS["link_flexibility"]("forearm").bound(ARM)
     stiffness, damping = truth.parameters(random_arm(ARM, duration=0.1, fps=50).scale)
     values = {"stiffness": stiffness.grid[2], "damping": damping.grid[0]}
@@ -208,7 +208,7 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     assert found.followed[f"{ideal.key} {ideal.key}"] == hard.log_evidence
     # Followed once, and never from what leaves nothing.
     started = []
-    monkeypatch.setattr(SWAP, "softer", lambda _, cause, mine, **__: started.append(cause))
+    monkeypatch.setattr(SWAP, "regularised", lambda _, cause, mine, **__: started.append(cause))
     follow_neighbours(
         bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, followed=found.followed), 1
     )
@@ -231,7 +231,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
-    monkeypatch.setattr(SWAP, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "refine_regularised", lambda problem, found, cause: followed.append(cause.key))
     monkeypatch.setattr(SWAP, "_swap_each", lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
@@ -251,7 +251,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
-    monkeypatch.setattr(SWAP, "refine_softer", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "refine_regularised", lambda problem, found, cause: followed.append(cause.key))
     monkeypatch.setattr(SWAP, "show_more", lambda *_: alike)
     tissue = next(e for e in considered(bound) if e.name == "soft_tissue")
     nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
@@ -275,7 +275,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE)
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
     wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
-    monkeypatch.setattr(SWAP, "softer", lambda *_, **__: None)
+    monkeypatch.setattr(SWAP, "regularised", lambda *_, **__: None)
     found = HypothesisPool(considered(bound), {"": none, wider.key: wider}, [], path, stray)
     follow_neighbours(bound, found, 1)
     cause = found.pool["coulomb_friction.pivot"]
@@ -323,7 +323,7 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     )
     room, tried = SWAP, []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
-    monkeypatch.setattr(room, "softer", lambda _, cause, mine, **__: tried.append(mine.key))
+    monkeypatch.setattr(room, "regularised", lambda _, cause, mine, **__: tried.append(mine.key))
     found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, [], path, stray)
     for _ in range(2):
         follow_neighbours(bound, found, 2)

@@ -12,9 +12,9 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.innovation_tests import (
     along_motion,
     correlation,
-    in_concert,
-    loudness,
+    noise_ratio,
     prediction_errors,
+    shared_outliers,
 )
 from invdyn.diagnosis.prediction.predict import seen_tips
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
@@ -66,7 +66,7 @@ def test_swapped_keypoints_stray_as_one(mistake):
     values = {"rate": 0.05} | ({} if swaps else {"scale": 0.1})
     here = diagnosis_problem(recording_of(truth, ARM, rows=200, **values), ARM)
     path = data_path(diagnosis_problem(recording_of(None, ARM, rows=200), ARM))[0]  # the same motion, without mistakes
-    none = refine(here, (), {}, path, here.regime.loose, rounds=1)
+    none = refine(here, (), {}, path, here.regime.path_size, rounds=1)
 
     def cause(*names):
         effects = [EFFECTS[name](*(("elbow", "wrist") if name == "label_swap" else ())).bound(ARM) for name in names]
@@ -75,10 +75,10 @@ def test_swapped_keypoints_stray_as_one(mistake):
         wide = {f"effect.{e.key}.scale": torch.tensor([0.1]).double() for e in effects if e.name == "outliers"}
         return replace(none, path=path, model=model.replace(**known, **wide))
 
-    company, chance = in_concert(here, cause("outliers"))
+    company, chance = shared_outliers(here, cause("outliers"))
     assert chance < 0.2
     assert (company > 0.9) if swaps else (abs(company) < 3 * chance)
-    assert in_concert(here, cause("outliers", "label_swap")) == in_concert(here, cause()) == (0.0, 1.0)
+    assert shared_outliers(here, cause("outliers", "label_swap")) == shared_outliers(here, cause()) == (0.0, 1.0)
 
 
 def test_a_limbs_torque_may_be_smoother_than_its_prior():
@@ -87,7 +87,7 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
     command, given = torch.sin(2 * arm.time)[:, None], arm.parameters
     arm = ArmModel(PENDULUM, arm.time, arm.observation, command=command, parameters=given)
     here = diagnosis_problem(replace(record(arm, 1)[0], torques=None), PENDULUM)
-    none = refine(here, (), {}, data_path(here)[0], here.regime.loose)
+    none = refine(here, (), {}, data_path(here)[0], here.regime.path_size)
     alike, sd = correlation(prediction_errors(here, none))
     assert abs(alike) < 3 * sd
 
@@ -96,15 +96,15 @@ def test_a_limbs_torque_may_be_smoother_than_its_prior():
 def test_errors_are_loud_beside_all_the_noise_there_is_where_it_grows():
     """However far off the noise at rest is, which only κ knows; of other causes κ says it."""
     here, _, friction = causes()
-    assert loudness(here, friction) == friction.kappa
+    assert noise_ratio(here, friction) == friction.kappa
     growing = EFFECTS["varying_noise"]().bound(PENDULUM)
     here = diagnosis_problem(recording_of(growing, rows=400, slope=5.0), PENDULUM)
     rest = {"emission.keypoint_scale": torch.tensor([0.0005]).double()}  # a quarter of the true noise
     here = replace(here, problem=replace(here.problem, model=here.model.replace(**rest)))
-    cause = refine(here, (), {}, data_path(here)[0], here.regime.loose)
-    assert loudness(here, cause) == cause.kappa > DEFAULT.residual.max_error_ratio
+    cause = refine(here, (), {}, data_path(here)[0], here.regime.path_size)
+    assert noise_ratio(here, cause) == cause.kappa > DEFAULT.residual.max_error_ratio
     slope = {"effect.varying_noise.slope": torch.tensor([5.0]).double()}
     cause = replace(cause, effects=(growing,), model=cause.model.with_effects(growing).replace(**slope), kappa=4.0)
     # A median of n = 400 values, whose logarithm has a variance of 2 MEDIAN/n.
-    assert loudness(here, cause) == pytest.approx(1.0, abs=3 * np.sqrt(2 * MEDIAN / 400))
-    assert loudness(here, replace(cause, kappa=8.0)) == pytest.approx(2 * loudness(here, cause), rel=0.1)
+    assert noise_ratio(here, cause) == pytest.approx(1.0, abs=3 * np.sqrt(2 * MEDIAN / 400))
+    assert noise_ratio(here, replace(cause, kappa=8.0)) == pytest.approx(2 * noise_ratio(here, cause), rel=0.1)

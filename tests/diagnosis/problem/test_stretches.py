@@ -1,4 +1,4 @@
-"""Long recordings in the stretches that tell most."""
+"""Long recordings in their most informative stretches."""
 
 from itertools import pairwise
 
@@ -53,8 +53,8 @@ def test_they_tell_more_than_any_evenly_spread_ones():
     log = robot_log(60, camera=False)
     edges = np.arange(0, 60.1, 0.4)
     information = module._information(log.time, log.angles, edges, DEFAULT.recording.max_row_spacing, DEFAULT)
-    chosen = np.linalg.slogdet(information[module._telling(information, DEFAULT)].sum(0))[1]
-    assert len(set(module._telling(information, DEFAULT))) == DEFAULT.recording.num_windows
+    chosen = np.linalg.slogdet(information[module._most_informative(information, DEFAULT)].sum(0))[1]
+    assert len(set(module._most_informative(information, DEFAULT))) == DEFAULT.recording.num_windows
     for first in range(7):
         assert chosen > np.linalg.slogdet(information[first::7][: DEFAULT.recording.num_windows].sum(0))[1]
 
@@ -67,5 +67,5 @@ def test_a_problem_of_them_says_what_was_left_out():
     parts = thinned.looked_at(log, rules)
     assert len(problem.starts) == len(parts) - 1 > 0
     told = thinned.left_out([log], rules)
-    assert told.startswith(f"Of 20000 rows with an observation {len(problem.observations)} were looked at")
-    assert f"of its 40 s the {seconds_of(parts):.4g} s that tell most were looked at" in told
+    assert told.startswith(f"Of 20000 rows with an observation {len(problem.observations)} were used")
+    assert f"of its 40 s the {seconds_of(parts):.4g} s with most information were used" in told

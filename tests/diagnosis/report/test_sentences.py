@@ -88,7 +88,7 @@ def test_what_is_the_same_after_as_before_stays():
     assert any(told in s for s in details(same))
     less = dict(rms, shoulder=rms["shoulder"] - 0.001)
     near = replace(d, shrinkage=replace(d.shrinkage, residual_torque_rms_after=less))
-    assert any("goes from 0.310 N·m to 0.309 N·m" in s for s in details(near))
+    assert any("changes from 0.310 N·m to 0.309 N·m" in s for s in details(near))
 
 
 def test_another_unit_of_length_is_told():
@@ -152,10 +152,10 @@ def test_the_torque_that_is_missing_is_that_of_the_joint_where_the_gap_lies():
     case = diagnosis()
     noisy = replace(case, gap=replace(case.gap, residual_torque_rms={"shoulder": 0.2, "elbow": 0.21}))
     after = {name: handy(value, "N·m") for name, value in case.shrinkage.residual_torque_rms_after.items()}
-    said = f"left unexplained at the shoulder goes from {handy(0.2, 'N·m')} to {after['shoulder']}"
+    said = f"left unexplained at the shoulder changes from {handy(0.2, 'N·m')} to {after['shoulder']}"
     assert said in render(noisy)
     nowhere = replace(noisy, where=replace(noisy.where, joints={}))
-    said = f"left unexplained at the elbow goes from {handy(0.21, 'N·m')} to {after['elbow']}"
+    said = f"left unexplained at the elbow changes from {handy(0.21, 'N·m')} to {after['elbow']}"
     assert said in render(nowhere)
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
-from invdyn.diagnosis.assessment.model_posterior import _alone
+from invdyn.diagnosis.assessment.model_posterior import share_explained
 from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -135,7 +135,7 @@ def test_a_tracker_that_trails_is_no_gap():
     assert abs(right.mean[0] - 0.05) < 4 * right.sd[0]
     assert correlation(prediction_errors(here, right))[0] > 0.1
     pool = HypothesisPool([], {"": none}, [], path, False)
-    assert _alone(here, pool, right) > 0.9
+    assert share_explained(here, pool, right) > 0.9
     score = scores(here, right).score
     white = scores(here, replace(right, memory=0.0)).score
     assert 0.5 * right.of_memory < np.nansum(score - white) < 2 * right.of_memory
@@ -147,7 +147,7 @@ def test_errors_that_remember_much_are_something_else():
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))
     pool = HypothesisPool([], {"": none}, [], path, False)
-    assert _alone(here, pool, right) == 0.0
+    assert share_explained(here, pool, right) == 0.0
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.add import _aside
-from invdyn.diagnosis.hypotheses.continuation import data_path, led
+from invdyn.diagnosis.hypotheses.continuation import continued, data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
@@ -69,7 +69,7 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
     effects = [e for e in considered(bound) if not is_searched(e)]
     along, own = (
         screen(bound, bound.model, each, effects, common, common.mean)
-        for each in (path, led(bound, bound.model, path, DEFAULT.residual.min_path_size))
+        for each in (path, continued(bound, bound.model, path, DEFAULT.residual.min_path_size))
     )
     aside = _aside(along, own)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))

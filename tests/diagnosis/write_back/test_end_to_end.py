@@ -33,7 +33,7 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     assert change["interval_90"][0] < change["to"] < change["interval_90"][1]
     angles = written.written.rollout["total_rms_rad"]
     assert angles["after"] < 0.15 * angles["before"]
-    assert any("goes from 0.100 to" in sentence for sentence in details(written))
+    assert any("changes from 0.100 to" in sentence for sentence in details(written))
     save(written, tmp_path)
     said = json.loads((tmp_path / "diagnosis.json").read_text())
     damping = said["causes"][0]["effects"][0]["parameters"]["damping"]
@@ -43,7 +43,7 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     row = (tmp_path / "report.html").read_text().partition("The corrected file")[2].partition("</tbody>")[0]
     told = re.search(r"damping of elbow, N·m·s/rad</th>\D*>([\d.]+)</td>\D*>([\d.]+)</td>", row)
     assert [float(number) for number in told.groups()] == pytest.approx([0.1, change["to"]], rel=1e-3)
-    replayed = next(sentence for sentence in details(written) if "replayed a held-out recording" in sentence)
+    replayed = next(sentence for sentence in details(written) if "replayed a withheld recording" in sentence)
     said_of = [f"by {handy(angles[which], 'rad')}" for which in ("after", "before")]
     assert replayed.index(said_of[0]) < replayed.index("with the corrected file") < replayed.index(said_of[1])
 
