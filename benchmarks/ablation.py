@@ -31,14 +31,14 @@ from invdyn.recordings import read_keypoint_csv
 
 ROOMS = "invdyn.diagnosis.hypotheses."
 RULES = {
-    "_refine_tracker_errors": ("search", "what leaves stray detections comes first"),
+    "_refine_tracker_errors": ("search", "a tracker's errors come first"),
     "drop": ("search", "drop: leave effects out"),
     "exchange": ("search", "swap: another effect in the place of one"),
     "refine_best": ("add", "add: the best of the screen"),
-    "softer": ("add", "the softer form of what would need implausible values"),
-    "refine_backlash": ("profile_likelihood", "play, by paths of its own"),
+    "regularised": ("add", "the regularised form of what would need implausible values"),
+    "refine_backlash": ("profile_likelihood", "backlash, by paths of its own"),
     "_refine_moved": ("swap", "neighbour: a push at another moment"),
-    "refine_regularised": ("swap", "neighbour: the softer form"),
+    "refine_regularised": ("swap", "neighbour: the regularised form"),
     "twin": ("swap", "neighbour: an exact stand-in"),
     "wider": ("swap", "neighbour: what contains an effect"),
     "narrower": ("swap", "neighbour: its special case"),

@@ -15,8 +15,8 @@ import torch
 
 from invdyn.diagnosis import diagnose, save
 from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.laws import finely_stepped
 from invdyn.diagnosis.hypotheses.pool import considered
-from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns

@@ -1,4 +1,4 @@
-"""How far a refinement gets beyond the screen: what :mod:`invdyn.diagnosis.hypotheses.expected_gain` rests on.
+"""How far a refinement gets beyond the screen: the numbers behind :func:`invdyn.diagnosis.hypotheses.pool.needed`.
 
 Of every development case (``benchmarks/development.py make``) with known torques, the ``MOST`` best of the screen are
 refined beside "no effect", then those beside the best single effect that was found, whatever they promise. With s nats
@@ -20,10 +20,9 @@ from ablation import filed
 
 from invdyn.diagnosis.hypotheses.add import _refined, screened_with
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.expected_gain import needed
-from invdyn.diagnosis.hypotheses.pool import considered
+from invdyn.diagnosis.hypotheses.laws import finely_stepped
+from invdyn.diagnosis.hypotheses.pool import considered, needed
 from invdyn.diagnosis.hypotheses.search import _initial_pool
-from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.models.divergence import diverging
 
@@ -42,7 +41,7 @@ def measured(case: Path) -> list[dict]:
         found = _initial_pool(bound, path, stray, considered(bound, left_out), 1)
         base = found.pool[""]
         for _ in range(2):
-            best = screened_with(bound, found, base)
+            best = screened_with(found, base)
             nothing = next(s.log_evidence for s in best if s.effect is None)
             row: dict = {"base": base.key, "complete": base.complete, "cands": []}
             for each in added(best)[:MOST]:

@@ -16,10 +16,12 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel
+from invdyn.models.divergence import Diverged, diverging
+from invdyn.models.effects.composition import NotTogether
 
 T = TypeVar("T")
 
@@ -109,3 +111,16 @@ class Outcome(Generic[T]):
     results: list[T]
     work: float
     missed: frozenset[str]
+
+
+def attempt(work: Callable[..., T], *arguments: Any, **options: Any) -> T | None:
+    """The result of ``work``, such as a refinement, or None.
+
+    None where it ends at parameters with which the simulation does not run, at effects that no simulation has together,
+    or where the budget is spent.
+    """
+    try:
+        with diverging():
+            return work(*arguments, **options)
+    except (Diverged, NotTogether, Spent):
+        return None

@@ -23,15 +23,12 @@ from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weig
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
-from invdyn.diagnosis.budget import Budget
+from invdyn.diagnosis.budget import Budget, attempt
 from invdyn.diagnosis.check.before import check_before
-from invdyn.diagnosis.hypotheses.attempt import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.engine_steps import search_either
-from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
+from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.search import search
-from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem

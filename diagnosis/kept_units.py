@@ -31,7 +31,7 @@ Numbers = tuple[Tensors, dict[str, Any]]
 """Tensors by name, and values that JSON can hold."""
 
 FAILURES = {each.__name__: each for each in (Diverged, Singular, NotTogether)}
-"""What says that a candidate is none; see :mod:`.hypotheses.attempt`."""
+"""What says that a candidate is none; see :func:`.budget.attempt`."""
 
 
 def kept(

@@ -24,12 +24,11 @@ import torch
 
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.transfer import carried, leaves_there
-from invdyn.diagnosis.budget import Spent
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import Spent, attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.drop import without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, others
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import without
 from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import attempt
 from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.pool import leaves
 from invdyn.diagnosis.prediction.predict import posterior_columns, scores, whitened

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.expected_gain import needed
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, others
+from invdyn.diagnosis.budget import attempt
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import early_stop_limits, follow_neighbours, regularised
@@ -41,28 +40,30 @@ from invdyn.models.effects.base import Effect
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
 
 
-def add(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> None:
+def add(found: HypothesisPool, base: FittedHypothesis) -> None:
     """Screen every effect that may join ``base``, refine and keep the best."""
+    problem = found.problem
     known, number = problem.regime.knows_torque, len(base.effects) + 1
-    screened = screened_with(problem, found, base)
+    screened = screened_with(found, base)
     found.first = found.first or screened
     limits = problem.rules.search
     width = limits.max_candidates_added if others(base) else limits.max_candidates_alone
-    refined = refine_best(problem, found, base, screened, width)
-    follow_neighbours(problem, found, number)
+    refined = refine_best(found, base, screened, width)
+    follow_neighbours(found, number)
     least = -np.inf if known else best_imitable_evidence(screened)
     if not known and show_more(problem, found.best, prediction_errors(problem, found.best)):
         tried = {s.effect.key for s in refined}
         barred = [s for s in _seen(screened, problem.rules) if s.effect.key not in tried]
         barred = [s for s in barred if _may_show(s, _nothing(screened), problem.rules)]
-        found.add_all(problem, [partial(_refined, problem, base, each, {}) for each in barred])
-        follow_neighbours(problem, found, number)
+        found.add_all([partial(_refined, problem, base, each, {}) for each in barred])
+        follow_neighbours(found, number)
         least = -np.inf
-    _search_values(problem, found, base, least)
+    _search_values(found, base, least)
 
 
-def screened_with(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
+def screened_with(found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
     """The screen with ``base`` along its path; of the first effect of all, each where it does best."""
+    problem = found.problem
     free, (model, common, point) = free_beside(found, base.effects), expanded_about(problem, base)
     path, few = (base.path if base.effects else found.path), base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
@@ -113,13 +114,12 @@ def _may_show(s: Added, nothing: float, rules: Rules) -> bool:
     return s.log_evidence > nothing + rules.search.screen_error or s.effect.softened() is not None
 
 
-def refine_best(
-    problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened], width: int
-) -> list[Added]:
+def refine_best(found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened], width: int) -> list[Added]:
     """Refine the ``width`` most promising, a pair at a time, as long as one may gain what the screen's best one does.
 
     The first one alone: it may leave nothing, and spare the others. What was refined is returned.
     """
+    problem = found.problem
     nothing = _nothing(screened)
     if problem.regime.knows_torque:
         wanted = _promising(found, base, screened)
@@ -130,9 +130,7 @@ def refine_best(
         gain = screened[0].log_evidence - nothing
         least = nothing + needed(gain, explained=found.best.complete, rules=problem.rules)
         pair = [each for each in pair if not refined or each.log_evidence >= least]
-        found.add_all(
-            problem, [partial(_refined, problem, base, each, early_stop_limits(found, base)) for each in pair]
-        )
+        found.add_all([partial(_refined, problem, base, each, early_stop_limits(found, base)) for each in pair])
         refined += pair
     return refined
 
@@ -155,13 +153,14 @@ def _refined(
     return refined
 
 
-def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: FittedHypothesis, least: float) -> None:
+def _search_values(found: HypothesisPool, base: FittedHypothesis, least: float) -> None:
     """Search parameters that no column describes: of what changes the scatter alone, and of backlash.
 
     Each is given up under ``least`` nats, scatter also far behind the best cause. Backlash takes minutes: it is tried
     with no effect or one that does not stick, if nothing else explains the gap, or a small one, as backlash may imitate
     a small gain. It must make up for a share of what its base is behind.
     """
+    problem = found.problem
     known, behind = others(base), found.top - base.log_evidence
     errs = problem.rules.search.large_screen_error
     slips = len(known) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
@@ -181,7 +180,7 @@ def _search_values(problem: DiagnosisProblem, found: HypothesisPool, base: Fitte
     free = [e for e in found.candidates if e.key not in keys and is_searched(e)]
     free = [e for e in free if slips or not isinstance(e, HiddenHinge)]
     free = [e for e in free if found.has_outliers or e.name not in MISTAKES]
-    found.add_all(problem, [partial(searched, effect) for effect in free])
+    found.add_all([partial(searched, effect) for effect in free])
 
 
 def best_imitable_evidence(screened: Sequence[Screened]) -> float:

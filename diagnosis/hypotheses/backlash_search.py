@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import attempt
 from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import grid, log_density_of

@@ -26,6 +26,7 @@ class HypothesisPool:
     """The pool of causes that were refined, and what the first screen said of all.
 
     Attributes:
+        problem: that the causes are of.
         candidates: all effects at all places that were considered.
         pool: refined causes by key.
         first: the screen of every single effect, with outliers if there are any.
@@ -35,9 +36,9 @@ class HypothesisPool:
         followed: log evidence by key of causes that were followed to a neighbour of that key (:mod:`.swap`).
         has_outliers: whether some detections are far from it.
         missed: candidates that the budget had nothing left for.
-        rules: the problem's.
     """
 
+    problem: DiagnosisProblem
     candidates: list[Effect]
     pool: dict[str, FittedHypothesis]
     first: list[Screened]
@@ -47,7 +48,11 @@ class HypothesisPool:
     workers: int = 1
     followed: dict[str, float] = field(default_factory=dict)
     missed: int = 0
-    rules: Rules = DEFAULT
+
+    @property
+    def rules(self) -> Rules:
+        """The problem's."""
+        return self.problem.rules
 
     @property
     def top(self) -> float:
@@ -117,11 +122,9 @@ class HypothesisPool:
         if known is None or cause.log_evidence > known.log_evidence:
             self.pool[cause.key] = cause
 
-    def add_all(
-        self, problem: DiagnosisProblem, parts: Sequence[Callable[[], Sequence[FittedHypothesis | None]]]
-    ) -> None:
+    def add_all(self, parts: Sequence[Callable[[], Sequence[FittedHypothesis | None]]]) -> None:
         """Keep what each of the ``parts`` finds, side by side; they know nothing of each other."""
-        for causes in side_by_side(parts, self.workers, problem.budget):
+        for causes in side_by_side(parts, self.workers, self.problem.budget):
             for cause in causes:
                 self.add(cause)
 
@@ -169,3 +172,27 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
 def _told(effect: Effect, servos: set[int]) -> bool:
     """Whether what happens to a command could happen to the commands of the effect's motors: ``servos`` get targets."""
     return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
+
+
+def needed(wanted: float, *, explained: bool, rules: Rules = DEFAULT) -> float:
+    """Nats that a candidate must gain in the screen so that its refinement may gain what is ``wanted``.
+
+    The screen is linear along one path; a refinement costs some twenty times as much. With s nats that a candidate
+    gains over its base in the screen, and r that its refinement gains, `python benchmarks/expected_gain.py` measures r
+    − s and r/s on development cases. Nineteen in twenty (99 in 100) stay under
+
+        r − s      3 (6) nats      with a base that leaves nothing, of s up to 5
+                   41 (430) nats   elsewhere, of s up to 60
+        r/s        3 (3)           of s between 60 and 1000
+
+    Errors are largest where no candidate has explained the gap yet. So what a refinement may gain at most is taken to
+    be
+
+        s + max(large_screen_error, (times − 1) s)
+
+    with unexplained_factor or rival_factor ``times`` (:mod:`invdyn.diagnosis.rules`).
+
+    Whether another cause explains the gap already (``explained``) sets how many times as much it may gain.
+    """
+    times = rules.search.rival_factor if explained else rules.search.unexplained_factor
+    return min(wanted - rules.search.large_screen_error, wanted / times)

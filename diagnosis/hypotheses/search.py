@@ -5,12 +5,12 @@ Stepwise search over sets of at most four effects, or as many as are wanted (Has
 and, if there are outliers, with a tracker's mistakes that explain them. Then the best cause makes the
 first of these moves that it has not made, which may make another one the best:
 
-    drop    each effect of a set, from the set's path and values (:mod:`.drop`)
+    drop    each effect of a set, from the set's path and values (:func:`drop`)
     add     an effect, also to the best single one that a set has overtaken: all that may join are screened, the most
             promising refined (:mod:`.add`)
     swap    an effect of what an addition found for its neighbours, exact twins, special cases, regularised forms,
             others that look like it, from values that its own say (:mod:`.swap`); last, each effect of the best cause
-            for any other, along its path (:mod:`.exchange`)
+            for any other, along its path (:func:`exchange`)
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -28,23 +28,25 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.budget import Spent
-from invdyn.diagnosis.hypotheses.add import add, refine_best, screened_with
-from invdyn.diagnosis.hypotheses.attempt import attempt
-from invdyn.diagnosis.hypotheses.continuation import continued
-from invdyn.diagnosis.hypotheses.drop import drop
-from invdyn.diagnosis.hypotheses.exchange import exchange
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, others
+from invdyn.diagnosis.budget import Spent, attempt
+from invdyn.diagnosis.hypotheses.add import add, free_beside, refine_best, screened_with
+from invdyn.diagnosis.hypotheses.continuation import continued, lifted
+from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.hypotheses.swap import follow_neighbours, refine_regularised, without
+from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
+from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.unknowns import expanded_about
+from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 
-Move = Callable[[DiagnosisProblem, HypothesisPool, FittedHypothesis], None]
+Move = Callable[[HypothesisPool, FittedHypothesis], None]
 """Refines neighbours of a base, into the pool."""
 
 
@@ -62,33 +64,30 @@ def search(
     found = _initial_pool(problem, path, has_outliers, considered(problem, left_out), workers)
     problem.budget.share = problem.rules.search.search_share
     with suppress(Spent):
-        _run(problem, found)
+        _run(found)
     found.missed = len(problem.budget.missed - found.pool.keys())
     return found
 
 
-def _run(problem: DiagnosisProblem, found: HypothesisPool) -> None:
+def _run(found: HypothesisPool) -> None:
     """Make the best cause's next move until it has none left; raises :class:`.Spent` where the budget ends before."""
-    known = problem.regime.knows_torque
-    if known and found.has_outliers:
-        _refine_tracker_errors(problem, found)
+    if found.problem.regime.knows_torque and found.has_outliers:
+        _refine_tracker_errors(found)
     made: set[tuple[Move, str]] = set()
-    while step := next((s for s in _moves(found, known, made) if (s[0], s[1].key) not in made), None):
+    while step := next((s for s in _moves(found, made) if (s[0], s[1].key) not in made), None):
         move, base = step
         made.add((move, base.key))
-        move(problem, found, base)
+        move(found, base)
 
 
-def _moves(
-    found: HypothesisPool, known: bool, made: Collection[tuple[Move, str]]
-) -> Iterator[tuple[Move, FittedHypothesis]]:
+def _moves(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterator[tuple[Move, FittedHypothesis]]:
     """Moves of the best cause, in their order, and what of them was ``made`` of others; none is made twice of one.
 
     Several may imitate two of any sizes, and then hide them: what else is at work shows with the best single effect. To
     what came in the place of another, and leaves nothing, nothing is added.
     """
-    best = found.best
-    if not known:
+    best, exchanged = found.best, any(move is exchange for move, _ in made)
+    if not found.problem.regime.knows_torque:
         if not best.effects:
             yield add, best
         return
@@ -99,9 +98,7 @@ def _moves(
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
             yield add, single
-    if len(best.effects) < found.rules.search.max_effects and not (
-        best.complete and any(move is exchange for move, _ in made)
-    ):
+    if len(best.effects) < found.rules.search.max_effects and not (best.complete and exchanged):
         yield add, best
     if best.effects:
         yield exchange, best
@@ -123,19 +120,20 @@ def _initial_pool(
     none, *rest = side_by_side(starts, workers, problem.budget)
     if none is None or None in rest:
         raise cannot_follow(problem)
-    found = HypothesisPool(candidates, {none.key: none}, [], path, has_outliers, workers=workers, rules=problem.rules)
+    found = HypothesisPool(problem, candidates, {none.key: none}, [], path, has_outliers, workers=workers)
     for found.simulation_path, alone in rest:
         found.add(alone)
     return found
 
 
-def _refine_tracker_errors(problem: DiagnosisProblem, found: HypothesisPool) -> None:
+def _refine_tracker_errors(found: HypothesisPool) -> None:
     """Refine each tracker error by itself, along the path that does not follow outliers and the simulation's own.
 
     Other effects are then added to it, as little else shows before. One by itself that leaves nothing where outliers do
     replaces it, if it is among the most promising: a link that bends far is an outlier for the simulation, too, and
     hides among outliers.
     """
+    problem = found.problem
     none = found.pool[""]
     for path in (path for path in (found.simulation_path, found.path) if path is not None):
         for effect in (e for e in found.candidates if e.name in MISTAKES):
@@ -145,8 +143,62 @@ def _refine_tracker_errors(problem: DiagnosisProblem, found: HypothesisPool) -> 
             return
     if not found.best.effects:
         return
-    screened = screened_with(problem, found, none)
+    screened = screened_with(found, none)
     tried = replace(found, pool=dict(found.pool))
-    refine_best(problem, tried, none, screened, problem.rules.search.max_candidates_for_outliers)
+    refine_best(tried, none, screened, problem.rules.search.max_candidates_for_outliers)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
+
+
+def drop(found: HypothesisPool, best: FittedHypothesis) -> None:
+    """Leave out each effect of the best set; what accompanied an ideal law may replace the regularised form of it."""
+    problem = found.problem
+    for effect in best.effects:
+        found.add(attempt(without, problem, best, effect, problem.min_size))
+        rest = key_of([other for other in best.effects if other is not effect])
+        if rest in found.pool:
+            refine_regularised(found, found.pool[rest])
+
+
+def exchange(found: HypothesisPool, best: FittedHypothesis) -> None:
+    """Look for a better effect in place of each of the best set's, along the path that it has found.
+
+    Where Gauss–Newton fails, one of several similar effects may be the only one to converge; and of effects
+    that imitate others together, none gives way while the rest stay. Where one leaves nothing, those that would leave
+    as little have arrived.
+    """
+    problem = found.problem
+    for old in best.effects:
+        base = best.less(problem, old)
+        if is_searched(old) or base.model.jumping is not None:
+            continue  # backlash leaves no path that a screen could be along
+        free = free_beside(found, base.effects, old)
+        if best.complete and not base.effects:
+            arrived = {cause.key for cause in found.pool.values() if cause.complete}
+            free = [effect for effect in _likely(found, free) if effect.key not in arrived]
+        if not free:
+            continue
+        model, common, point = expanded_about(problem, base)
+        path = lifted(model, best.path)
+        screened = screen_in_halves(found.workers, problem, model, path, free, common, point, best.complete)
+        nothing = next(s.log_evidence for s in screened if s.effect is None)
+        # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
+        least = nothing + needed(found.top - nothing, explained=True, rules=problem.rules)
+        near = [s for s in screened if s.effect is None or s.log_evidence > least]
+        refine_best(
+            problem,
+            found,
+            replace(base, model=model, path=path, log_evidence=nothing),
+            near,
+            problem.rules.search.max_candidates_exchanged,
+        )
+    follow_neighbours(found, len(best.effects))
+
+
+def _likely(found: HypothesisPool, effects: Sequence[Effect]) -> list[Effect]:
+    """Effects that, where nothing else was in, gained a share of what the best one did; all, if that is unknown."""
+    gained = {s.effect and s.effect.key: s.log_evidence for s in found.first}
+    if not gained:
+        return list(effects)
+    least = gained[None] + found.rules.search.min_exchange_share * (max(gained.values()) - gained[None])
+    return [effect for effect in effects if gained.get(effect.key, np.inf) >= least]

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import attempt
 from invdyn.diagnosis.hypotheses.continuation import lifted
-from invdyn.diagnosis.hypotheses.expected_gain import needed
-from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, needed
+from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
@@ -32,24 +33,25 @@ RELATED = ("wider", "narrower")
 """Kinds of neighbours of which one is a special case of the other."""
 
 
-def follow_neighbours(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> None:
+def follow_neighbours(found: HypothesisPool, number: int) -> None:
     """Refine the neighbours of causes with so many effects, from values that follow, and theirs, until none is new.
 
     Twins, special cases and laws that have one come first, of all that are near the best; then regularised forms, and
     what the best one may be taken for. What these find has neighbours, too.
     """
+    problem = found.problem
     visited: dict[int, FittedHypothesis] = {}
     while fresh := [
         c for c in _near(found, number, found.top - problem.rules.search.large_screen_error) if id(c) not in visited
     ]:
         for cause in fresh:
             visited[id(cause)] = cause
-            _swap_each(problem, found, cause, ("twin", "wider", "narrower"))
-        for cause in _rough(problem, found, number)[: problem.rules.search.max_variants // number]:
-            refine_regularised(problem, found, cause)
+            _swap_each(found, cause, ("twin", "wider", "narrower"))
+        for cause in _rough(found, number)[: problem.rules.search.max_variants // number]:
+            refine_regularised(found, cause)
         best = found.best
         if len(best.effects) == number:
-            _swap_each(problem, found, best, ("alike",))
+            _swap_each(found, best, ("alike",))
 
 
 def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
@@ -57,12 +59,13 @@ def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypoth
     return [c for c in found.pool.values() if len(c.effects) == number and c.log_evidence > least]
 
 
-def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> list[FittedHypothesis]:
+def _rough(found: HypothesisPool, number: int) -> list[FittedHypothesis]:
     """Causes with regularised forms that leave a residual or correlated errors of prediction; best first.
 
     Where nothing explains the gap yet, all that gain half of what the best one does: an ideal law may be as far off as
     another effect's.
     """
+    problem = found.problem
     least, none = found.top - problem.rules.search.large_screen_error, found.pool[""].log_evidence
     if not found.explained:
         least = none + needed(found.top - none, explained=True, rules=problem.rules)
@@ -71,24 +74,22 @@ def _rough(problem: DiagnosisProblem, found: HypothesisPool, number: int) -> lis
     return sorted(rough, key=lambda cause: -cause.log_evidence)
 
 
-def _swap_each(
-    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]
-) -> None:
+def _swap_each(found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]) -> None:
     """Refine a cause with each of its effects at another time, and with neighbours of some ``kinds`` in its place."""
+    problem = found.problem
     passive, taken = problem.regime.name == "passive", {effect.key for effect in cause.effects}
     for mine in cause.effects:
         if "moment" in mine.located:
-            _refine_moved(problem, found, cause, mine)
+            _refine_moved(found, cause, mine)
         values, sd = of_effect(mine, cause.values), of_effect(mine, cause.sds)
         for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
             if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
-                _follow(problem, found, cause, mine, other)
+                _follow(found, cause, mine, other)
 
 
-def _follow(
-    problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Neighbour
-) -> None:
+def _follow(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other: Neighbour) -> None:
     """Refine a neighbour, unless it is where it can be, has nothing to add, or was followed from as good a cause."""
+    problem = found.problem
     there = found.pool.get(_in_place(cause, mine, other.effect))
     related = other.kind in RELATED
     if other.kind == "wider":
@@ -131,11 +132,12 @@ def _as_soft(
     return form, [kept | dict(start) for start in other.starts]
 
 
-def refine_regularised(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis) -> None:
+def refine_regularised(found: HypothesisPool, cause: FittedHypothesis) -> None:
     """Refine a cause with the regularised form of each of its effects that has one; the better one stays.
 
     And with that one's, where it has one and something is left.
     """
+    problem = found.problem
     for mine in cause.effects:
         form, best = mine, cause
         while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
@@ -180,12 +182,13 @@ def _followed(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, othe
     return False
 
 
-def _refine_moved(problem: DiagnosisProblem, found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
+def _refine_moved(found: HypothesisPool, cause: FittedHypothesis, mine: Effect) -> None:
     """Move a burst in time while that is better.
 
     Evidence is as narrow a function of its moment as the arm's answer is sharp, and Gauss–Newton ends in the nearest
     of its peaks. Along the path that it has found, each of a few moments and durations about its own is one regression.
     """
+    problem = found.problem
     while not _followed(found, cause, mine, mine, " moved"):
         there = of_effect(mine, cause.values)
         (first, last), width = (
@@ -219,3 +222,20 @@ def instead(
     effects = (*(effect for effect in cause.effects if effect.key != mine.key), other)
     values = cause.values | {f"{other.key}.{name}": value for name, value in start.items()}
     return attempt(refine, problem, effects, values, path, size, **cause.searched, **limits)
+
+
+def without(problem: DiagnosisProblem, whole: FittedHypothesis, effect: Effect, size: float) -> FittedHypothesis | None:
+    """A set without one of its effects, from its path and values, under a residual of ``size``.
+
+    Several that were searched may have left a part to each other: without one, the others are searched again, and None
+    comes of what gains nothing then.
+    """
+    rest = tuple(e for e in whole.effects if e is not effect)
+    searched = [e for e in rest if is_searched(e)]
+    if not (searched and is_searched(effect)):
+        return refine(problem, rest, whole.values, whole.path, size, **whole.searched)
+    cause: FittedHypothesis | None
+    cause = refine(problem, tuple(e for e in rest if e not in searched), whole.values, whole.path, size)
+    for each in searched:
+        cause = cause and refine_searched(problem, cause, each)
+    return cause

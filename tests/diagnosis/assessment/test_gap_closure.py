@@ -171,7 +171,7 @@ def of_two():
         here,
         none,
         both,
-        HypothesisPool([], {"": none}, [], path, False),
+        HypothesisPool(here, [], {"": none}, [], path, False),
         diagnosis_problem(recorded(DAMPING, seed=5), PENDULUM),
     )
 

@@ -41,7 +41,9 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
 
     def share(left, gain=50.0):
         left = replace(cause, by_size=np.where(levels == levels[left], 0.0, -60.0), log_evidence=gain)
-        return share_explained(bound, HypothesisPool([], {"": needed, left.key: left}, [], none.path, False), left)
+        return share_explained(
+            bound, HypothesisPool(bound, [], {"": needed, left.key: left}, [], none.path, False), left
+        )
 
     assert share(0) > 0.99
     assert share(2) > 0.99  # 2.4 % of the needed one
@@ -52,7 +54,7 @@ def test_what_is_little_beside_the_gap_is_nothing_left():
     assert share(2) < 0.01
     plain = replace(needed, by_size=np.where(levels == levels[1], 0.0, -60.0))
     assert (
-        share_explained(bound, HypothesisPool([], {"": plain}, [], none.path, False), plain) < 0.01
+        share_explained(bound, HypothesisPool(bound, [], {"": plain}, [], none.path, False), plain) < 0.01
     )  # but it is more than no gap
 
 
@@ -70,7 +72,7 @@ def test_a_torque_under_the_tolerance_is_not_left():
     known = {"names": (f"{friction.key}.damping",), "mean": np.array([0.05]), "covariance": 1e-6 * np.eye(1)}
     cause = replace(none, effects=(friction,), log_evidence=50.0, **known)
     left = replace(cause, by_size=np.where(levels == levels[2], 0.0, -600.0))
-    pool = HypothesisPool([], {"": needed, left.key: left}, [], none.path, False)
+    pool = HypothesisPool(bound, [], {"": needed, left.key: left}, [], none.path, False)
     assert share_explained(bound, pool, left) == 0.0
     assert share_explained(tolerating(bound, 1.1 * levels[2]), pool, left) > 0.99
     assert share_explained(tolerating(bound, 0.9 * levels[2]), pool, left) == 0.0
@@ -81,7 +83,7 @@ def test_what_is_not_credible_explains_a_part_only():
     bound = diagnosis_problem(recording_of(), PENDULUM)
     none = refine(bound, (), {}, data_path(bound)[0], LOOSE)
     spring, stray = EFFECTS["joint_stiffness"]("pivot").bound(PENDULUM), EFFECTS["outliers"]().bound(PENDULUM)
-    pool = HypothesisPool([], {"": none}, [], none.path, False)
+    pool = HypothesisPool(bound, [], {"": none}, [], none.path, False)
 
     def share(effect, values, searched=False):
         keys = {f"{effect.key}.{name}": value for name, value in values.items()}
@@ -104,7 +106,7 @@ def test_where_errors_are_alike_from_row_to_row_something_is_left():
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     wrong = replace(none, by_size=np.where(np.arange(len(none.by_size)) == 0, 0.0, -60.0))
-    pool = HypothesisPool([], {"": none}, [], path, False)
+    pool = HypothesisPool(bound, [], {"": none}, [], path, False)
     assert correlation(prediction_errors(bound, wrong))[0] > max(DEFAULT.residual.max_error_correlation, 0.5)
     assert share_explained(bound, pool, wrong) == 0.0
     alike, chance = correlation(prediction_errors(bound, right))
@@ -120,7 +122,9 @@ def test_a_residual_that_is_small_and_surely_there_is_left():
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
     first = np.arange(len(none.by_size)) == 0
     prior = bound.regime.log_prior
-    pool = HypothesisPool([], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False)
+    pool = HypothesisPool(
+        bound, [], {"": replace(none, by_size=prior + np.where(first, -1000.0, 0.0))}, [], path, False
+    )
 
     def with_residual(nats):
         return replace(right, by_size=prior + np.where(first, 0.0, np.where(np.arange(len(first)) == 1, nats, -1000.0)))
@@ -136,7 +140,7 @@ def test_keypoints_that_stray_as_one_leave_something(monkeypatch):
     bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    pool, module = HypothesisPool([], {"": none}, [], path, False), sys.modules[show_more.__module__]
+    pool, module = HypothesisPool(bound, [], {"": none}, [], path, False), sys.modules[show_more.__module__]
     for company, left in (
         (DEFAULT.residual.max_shared_outliers, False),
         (DEFAULT.residual.max_shared_outliers + DEFAULT.residual.error_margin * 0.1 + 0.01, True),
@@ -157,7 +161,7 @@ def test_a_cause_that_leaves_something_pays_for_another_effect(left, sized, monk
     if sized:
         spike = np.arange(len(none.by_size)) == 0
         dragged = replace(dragged, by_size=dragged.by_size - np.where(spike, 1e4, 0.0))
-    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
+    pool = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, damped, dragged)}, [], path, False)
     alone = {none.key: 1.0, damped.key: 1.0, dragged.key: 0.0 if left else 1.0}
     monkeypatch.setattr(
         sys.modules[share_explained.__module__], "share_explained", lambda _, __, cause: alone[cause.key]
@@ -177,7 +181,7 @@ def test_errors_larger_than_the_noise_at_rest_are_left():
     bound = diagnosis_problem(recording_of(EFFECTS["viscous_friction"]("pivot"), damping=0.05), PENDULUM)
     path = data_path(bound)[0]
     none, right = (refine(bound, e, {}, path, LOOSE) for e in ((), (EFFECTS["viscous_friction"]("pivot"),)))
-    pool = HypothesisPool([], {"": none}, [], path, False)
+    pool = HypothesisPool(bound, [], {"": none}, [], path, False)
     assert right.kappa == pytest.approx(1.0, abs=0.2)
     assert share_explained(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio + 0.1)) == 0.0
     assert share_explained(bound, pool, replace(right, kappa=DEFAULT.residual.max_error_ratio - 0.1)) > 0.9
@@ -190,7 +194,7 @@ def test_where_errors_lie_along_the_motion_something_is_left():
     bound = diagnosis_problem(recording_of(truth, rows=300, effort=1.0, rate=0.4, sd=0.02), PENDULUM)
     path, _ = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
-    pool = HypothesisPool([], {"": none}, [], path, False)
+    pool = HypothesisPool(bound, [], {"": none}, [], path, False)
     by_name = {
         name: refine_searched(bound, none, EFFECTS[name]().bound(PENDULUM)) for name in ("varying_noise", truth.name)
     }
@@ -221,7 +225,7 @@ def test_with_unknown_torque_too_errors_alike_from_row_to_row_leave_something(to
     bound = diagnosis_problem(replace(recording, torques=None), PENDULUM.with_values(length=[0.3 * longer]))
     assert bound.regime == UNKNOWN_TORQUE
     none = refine(bound, (), {}, data_path(bound)[0], bound.regime.path_size)
-    pool = HypothesisPool([], {"": none}, [], none.path, False)
+    pool = HypothesisPool(bound, [], {"": none}, [], none.path, False)
     for weighed in (weigh(bound, pool, 0), only(bound, pool, none, {"": none.log_evidence})):
         assert weighed.outside == pytest.approx(1.0 if left else 0.0)
         assert weighed.causes[""][1] == pytest.approx(0.0 if left else 1.0)
@@ -242,7 +246,7 @@ def test_stribeck_friction_that_is_less_at_rest_is_coulomb_friction(static, gain
     values = {"coulomb": 0.1, "static": static, "velocity": 0.1}
     mine = {"names": tuple(f"{stribeck.key}.{name}" for name in values), "mean": np.array([*values.values()])}
     curved = replace(dry, effects=(stribeck.bound(bound.model.body),), log_evidence=most, **mine)
-    pool = HypothesisPool(considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
+    pool = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, dry, curved)}, [], path, False)
     module, silent = (
         sys.modules[share_explained.__module__],
         SimpleNamespace(log_evidence=np.nan, log_evidence_sd=np.nan),

@@ -58,7 +58,7 @@ def test_a_large_torque_must_be_out_of_the_question(loss, hidden):
     path, stray = data_path(bound)
     none, levels = refine(bound, (), {}, path, LOOSE, rounds=1), COMMANDED.sizes
     none = replace(none, by_size=bound.regime.log_prior - np.array(loss, dtype=float))
-    found = HypothesisPool(considered(bound), {"": none}, [], path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none}, [], path, stray)
     assert DEFAULT.evidence.ruled_out_gap == 3.0
     said = too_little(bound, found)
     if hidden is None:
@@ -75,4 +75,4 @@ def test_an_unknown_torque_may_be_of_any_size():
     bound = diagnosis_problem(replace(film(1000, 0.1), torques=None), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, bound.regime.path_size, rounds=1)
-    assert too_little(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray)) is None
+    assert too_little(bound, HypothesisPool(bound, considered(bound), {"": none}, [], path, stray)) is None

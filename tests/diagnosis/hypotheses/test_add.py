@@ -30,7 +30,7 @@ def test_what_no_torque_explains_has_a_cause_that_the_camera_shows(monkeypatch, 
     monkeypatch.setattr(module, "show_more", lambda *_: left)
     monkeypatch.setattr(module, "best_imitable_evidence", lambda _: none.log_evidence + 500.0)
     monkeypatch.setattr(module, "refine_searched", lambda *given: asked.append(round(given[3] - none.log_evidence)))
-    add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert set(asked) == {-DEFAULT.search.large_screen_error if left else 500}
 
 
@@ -43,20 +43,20 @@ def test_play_is_looked_for_where_no_other_effect_explains_the_gap(monkeypatch, 
     """
     tried, module = [], sys.modules[add.__module__]
     bound = diagnosis_problem(recorded(damping), PENDULUM)
+    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=large))
     path, stray = data_path(bound)
     friction = EFFECTS["viscous_friction"]("pivot")
     none, found = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (friction,)))
-    pool = HypothesisPool(considered(bound), {none.key: none}, [], path, stray, simulation_path=path)
+    pool = HypothesisPool(bound, considered(bound), {none.key: none}, [], path, stray, simulation_path=path)
 
-    def refined(_, pool, base, best, width):
+    def refined(pool, base, best, width):
         pool.add(found)
         return []
 
-    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=large))
     monkeypatch.setattr(module, "refine_searched", lambda *given: tried.append(given[2].name))
     monkeypatch.setattr(module, "refine_best", refined)
     monkeypatch.setattr(module, "follow_neighbours", lambda *_: None)
-    add(bound, pool, none)
+    add(pool, none)
     assert pool.ranked[0].complete
     assert ("backlash" in tried) is looked
 
@@ -87,8 +87,8 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
     monkeypatch.setattr(module, "refine_best", lambda *_: [])
     astray = replace(base, effects=(EFFECTS["outliers"]().bound(PENDULUM),), log_evidence=base.log_evidence + strays)
     better = replace(base, effects=(spring.bound(PENDULUM),), log_evidence=base.log_evidence + ahead)
-    found = HypothesisPool(considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
-    add(bound, found, base)
+    found = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, astray, base, better)}, [], path, stray)
+    add(found, base)
     enough = [least for name, least in tried if name == "backlash"]  # others that join the base gain less than a nat
     assert enough == pytest.approx([base.log_evidence + ahead / 10] * looked, abs=0.5)
 
@@ -115,16 +115,16 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch, gain, barred)
     monkeypatch.setattr(room, "show_more", lambda *_: left)
     monkeypatch.setattr(room, "refine_searched", lambda *_: None)
     none = refine(bound, (), {}, path, LOOSE)
-    add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert tried == ["lens_distortion", "base_motion"]  # a base that shakes takes all points along
     # Where something is left under any torque, what is seen is something else, however little the screen says.
     left = True
-    add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert tried[2:] == ["lens_distortion", "base_motion", *barred]
     # And what was more promising than those is no less worth it for having had no room before.
     monkeypatch.setattr(room, "WIDTH", (1, 1))
     tried.clear()
-    add(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none)
+    add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert tried == ["lens_distortion", "base_motion", *barred]
 
 
@@ -150,7 +150,7 @@ def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined
         return replace(none, effects=effects, log_evidence=none.log_evidence + 1000, by_size=settled)
 
     monkeypatch.setattr(sys.modules[add.__module__], "refine", refined_one)
-    refine_best(bound, HypothesisPool(considered(bound), {"": none}, [], path, stray), none, screened, 9)
+    refine_best(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none, screened, 9)
     assert len(tried) == refined
 
 
@@ -181,8 +181,8 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
 
     for room in (add, regularised):
         monkeypatch.setattr(sys.modules[room.__module__], "refine", refined_one)
-    found = HypothesisPool(some, {"": none}, [], path, stray)
-    refine_best(bound, found, none, screened, 9)
+    found = HypothesisPool(bound, some, {"": none}, [], path, stray)
+    refine_best(found, none, screened, 9)
     for effect in some:
         more = names[effect.name] if not plausible else []
         assert [soft for soft, _, _ in tried[effect.name]] == [False] + [True] * bool(more)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, recording_of
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import attempt
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem

@@ -7,10 +7,11 @@ import pytest
 from pendulum import LOOSE, PENDULUM, driven
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.drop import drop, without
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.search import drop
+from invdyn.diagnosis.hypotheses.swap import without
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
@@ -23,9 +24,9 @@ def test_a_set_loses_what_it_does_not_need():
     path, stray = data_path(bound)
     effects = tuple(EFFECTS[name]("pivot") for name in ("viscous_friction", "joint_stiffness"))
     none, both = refine(bound, (), {}, path, LOOSE), refine(bound, effects, {}, path, LOOSE)
-    found = HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none, both.key: both}, [], path, stray)
     assert found.ranked[0].key == both.key
-    drop(bound, found, found.ranked[0])
+    drop(found, found.ranked[0])
     assert found.ranked[0].key == "viscous_friction.pivot"
 
 
@@ -51,10 +52,10 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     monkeypatch.setattr(sys.modules[drop.__module__], "without", lambda _, whole, effect, size: None)
     monkeypatch.setattr(sys.modules["invdyn.diagnosis.hypotheses.swap"], "regularised", regularised)
     pool = {causes[effects].key: causes[effects] for effects in ((friction,), (friction, other), (other,))}
-    found = HypothesisPool(considered(bound), {"": none, **pool}, [], path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none, **pool}, [], path, stray)
     assert found.ranked[0].key == key_of((friction, other))
     assert found.pool[friction.key].complete
-    drop(bound, found, found.ranked[0])
+    drop(found, found.ranked[0])
     assert tried == [(friction.key, friction.key)]
     assert found.ranked[0] is causes[soft,]
 
@@ -72,8 +73,8 @@ def test_what_was_searched_is_tried_without_the_rest(monkeypatch):
     def refined(problem, effects, values, path, size, **kept):
         tried[tuple(e.name for e in effects)] = kept
 
-    monkeypatch.setattr(sys.modules[drop.__module__], "refine", refined)
-    drop(bound, HypothesisPool(considered(bound), {"": none, both.key: both}, [], path, stray), both)
+    monkeypatch.setattr(sys.modules[without.__module__], "refine", refined)
+    drop(HypothesisPool(bound, considered(bound), {"": none, both.key: both}, [], path, stray), both)
     assert tried == {("outliers",): both.searched, ("viscous_friction",): both.searched}
 
 

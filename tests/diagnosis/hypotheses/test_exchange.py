@@ -8,9 +8,9 @@ import pytest
 from pendulum import LOOSE, PENDULUM, driven
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.search import exchange
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
@@ -30,8 +30,8 @@ def test_the_path_of_one_leads_to_another_that_is_like_it():
         refine(bound, (), {}, path, LOOSE),
         refine(bound, (stribeck,), values, path, DEFAULT.residual.min_path_size),
     )
-    found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
-    exchange(bound, found, found.ranked[0])
+    found = HypothesisPool(bound, considered(bound), {"": none, other.key: other}, [], path, stray)
+    exchange(found, found.ranked[0])
     assert found.ranked[0].key == "coulomb_friction.pivot"
     assert found.ranked[0].mean[0] == pytest.approx(0.15, rel=0.05)
     assert len(found.pool) < 6  # and no more than a few
@@ -51,7 +51,7 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
     common = unknowns(bound, ())
     free = [e for e in considered(bound) if not is_searched(e)]
     first = screen(bound, bound.model, path, free, common, common.mean)
-    found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, first, path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none, cause.key: cause}, first, path, stray)
     tried = []
 
     def screened(workers, problem, model, path, effects, *given):
@@ -60,13 +60,13 @@ def test_where_one_leaves_nothing_only_what_was_like_it_is_tried(monkeypatch):
 
     monkeypatch.setattr(sys.modules[exchange.__module__], "screen_in_halves", screened)
     monkeypatch.setattr(sys.modules[exchange.__module__], "follow_neighbours", lambda *_: None)
-    exchange(bound, found, found.ranked[0])
+    exchange(found, found.ranked[0])
     assert {"stribeck_friction", "viscous_friction"} <= set(tried)
     assert len(tried) < len(free) / 2
     arrived = replace(cause, effects=(EFFECTS["stribeck_friction"]("pivot"),), log_evidence=cause.log_evidence - 5)
     tried.clear()
     pool = {"": none, cause.key: cause, arrived.key: arrived}
-    exchange(bound, HypothesisPool(considered(bound), pool, first, path, stray), cause)
+    exchange(HypothesisPool(bound, considered(bound), pool, first, path, stray), cause)
     assert "viscous_friction" in tried
     assert "stribeck_friction" not in tried  # it leaves nothing either
 
@@ -81,8 +81,8 @@ def test_in_a_set_too_one_gives_way_while_the_other_stays():
     none = refine(bound, (), {}, path, LOOSE)
     pair = tuple(EFFECTS[name]("pivot").bound(PENDULUM) for name in ("quadratic_drag", "armature"))
     other = refine(bound, pair, {}, path, LOOSE)
-    found = HypothesisPool(considered(bound), {"": none, other.key: other}, [], path, stray)
-    exchange(bound, found, found.ranked[0])
+    found = HypothesisPool(bound, considered(bound), {"": none, other.key: other}, [], path, stray)
+    exchange(found, found.ranked[0])
     best = found.ranked[0]
     assert best.key == "armature.pivot+viscous_friction.pivot"
     values = dict(zip((name.rpartition(".")[2] for name in best.names), best.mean, strict=True))
@@ -97,7 +97,7 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     old, *others = (EFFECTS[name]().bound(PENDULUM) for name in ("payload", "gravity_tilt", "camera_roll"))
     best = replace(none, effects=(old,), log_evidence=none.log_evidence + 1000)
-    found = HypothesisPool(considered(bound), {"": none, best.key: best}, [], path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none, best.key: best}, [], path, stray)
     module, gains = sys.modules[exchange.__module__], {"gravity_tilt": 510.0, "camera_roll": 490.0}
 
     def screened(*_, **__):
@@ -110,9 +110,9 @@ def test_what_is_large_is_exchanged_from_half_of_its_gain(monkeypatch):
 
     tried = []
     monkeypatch.setattr(module, "screen_in_halves", screened)
-    monkeypatch.setattr(module, "refine_best", lambda *a: tried.extend(s.effect.name for s in a[3] if s.effect))
+    monkeypatch.setattr(module, "refine_best", lambda *a: tried.extend(s.effect.name for s in a[2] if s.effect))
     monkeypatch.setattr(module, "follow_neighbours", lambda *_: None)
-    exchange(bound, found, found.ranked[0])
+    exchange(found, found.ranked[0])
     assert tried == ["gravity_tilt"]
 
 
@@ -128,8 +128,8 @@ def test_what_takes_the_place_of_a_bending_link_joins_the_set_without_it(monkeyp
     )
     both = replace(both, log_evidence=none.log_evidence + 100)
     room, bases = sys.modules[exchange.__module__], []
-    monkeypatch.setattr(room, "refine_best", lambda problem, found, base, *_: bases.append(base))
-    exchange(bound, HypothesisPool([friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray), both)
+    monkeypatch.setattr(room, "refine_best", lambda found, base, *_: bases.append(base))
+    exchange(HypothesisPool(bound, [friction.bound(PENDULUM), push], {"": none, both.key: both}, [], path, stray), both)
     base = next(base for base in bases if base.effects == both.effects[:1])
     assert [effect.name for effect in base.model.effects] == ["viscous_friction"]
     assert base.path.shape[-1] == base.model.state_dim < both.model.state_dim

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from invdyn.diagnosis.hypotheses.expected_gain import needed
+from invdyn.diagnosis.hypotheses.pool import needed
 from invdyn.diagnosis.rules import DEFAULT
 
 

@@ -8,7 +8,7 @@ import torch
 from pendulum import ARM, FEW, MANY, recording_of
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.heavy_tails import heavy_tailed
+from invdyn.diagnosis.hypotheses.laws import heavy_tailed
 from invdyn.diagnosis.hypotheses.pool import MISTAKES
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem

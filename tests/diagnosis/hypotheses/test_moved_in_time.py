@@ -42,8 +42,8 @@ def right():
 
 def moved(cause):
     here, none, effect = pushed()
-    found = HypothesisPool([effect], {"": none, cause.key: cause}, [], none.path, False)
-    follow_neighbours(here, found, 1)
+    found = HypothesisPool(here, [effect], {"": none, cause.key: cause}, [], none.path, False)
+    follow_neighbours(found, 1)
     return found.pool[cause.key]
 
 

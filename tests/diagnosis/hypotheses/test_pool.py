@@ -19,7 +19,7 @@ def pool(**evidence):
     letters = dict(zip("abc", considered(here), strict=False))
     path = torch.zeros(80, 3, dtype=torch.float64)
     plain = refine(here, (), {}, path, LOOSE, rounds=1)
-    found = HypothesisPool(considered(here), {}, [], path, has_outliers=False)
+    found = HypothesisPool(here, considered(here), {}, [], path, has_outliers=False)
     for name, value in evidence.items():
         effects = () if name == "none" else tuple(letters[letter] for letter in name)
         found.add(replace(plain, effects=effects, log_evidence=value))
@@ -71,7 +71,7 @@ def test_stray_detections_are_measured_apart():
     )
     plain = refine(here, (), {}, torch.zeros(80, 3, dtype=torch.float64), LOOSE, rounds=1)
     for first, second_is_believed in ((outliers, True), (payload, False)):
-        found = HypothesisPool(considered(here), {}, [], plain.path, has_outliers=True)
+        found = HypothesisPool(here, considered(here), {}, [], plain.path, has_outliers=True)
         for effects, nats in (((), 0.0), ((first,), 9000.0), ((friction,), 12.0), ((first, friction), 9012.0)):
             found.add(replace(plain, effects=effects, log_evidence=nats))
         assert (len(found.ranked[0].effects) == 2) is second_is_believed

@@ -30,8 +30,8 @@ def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed
     if place != "forearm":
         other = EFFECTS["inertial_error"](place).bound(ARM)
         wider = replace(wider, effects=(other,), names=tuple(n.replace("forearm", place) for n in wider.names))
-    found = HypothesisPool(considered(bound), {c.key: c for c in (none, wider)}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, wider)}, [], path, stray)
+    follow_neighbours(found, 1)
     assert (PAYLOAD.key in found.pool) is followed
     if followed:
         payload = found.pool[PAYLOAD.key]
@@ -39,7 +39,7 @@ def test_a_payload_is_refined_from_the_error_that_found_it(place, load, followed
         assert abs(payload.mean[0] - load) < 4 * payload.sd[0]
         assert found.ranked[0].key == PAYLOAD.key
         tried = found.followed[PAYLOAD.key]
-        follow_neighbours(bound, found, 1)
+        follow_neighbours(found, 1)
         assert found.followed == {PAYLOAD.key: tried}
 
 
@@ -54,8 +54,8 @@ def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     right = refine(bound, (truth,), {f"{truth.key}.{p}": v for p, v in values.items()}, path, LOOSE)
-    found = HypothesisPool(considered(bound), {"": none, right.key: right}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), {"": none, right.key: right}, [], path, stray)
+    follow_neighbours(found, 1)
     names = {cause.effects[0].name: cause for cause in found.pool.values() if cause.effects}
     scale = bound.model.scale
     assert set(names) >= set(equivalents(factor(truth, values, scale.body), scale.body))
@@ -77,7 +77,7 @@ def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
         none, candidates = refine(bound, (), {}, path, LOOSE, rounds=1), considered(bound)
         clock = next(e for e in candidates if e.name == "clock_rate")
         cause = refine(bound, (clock,), {f"{clock.key}.rate": 1.05}, path, LOOSE, rounds=1)
-        found = HypothesisPool(candidates, {"": none, clock.key: cause}, [], path, stray)
+        found = HypothesisPool(bound, candidates, {"": none, clock.key: cause}, [], path, stray)
         assert cause.log_evidence > found.top - DEFAULT.search.large_screen_error  # or nothing would be followed
-        follow_neighbours(bound, found, 1)
+        follow_neighbours(found, 1)
         assert set(found.pool) == {"", clock.key}

@@ -11,10 +11,9 @@ from pendulum import ARM, LOOSE, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
-from invdyn.diagnosis.hypotheses.exchange import exchange
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import _moves, _refine_tracker_errors, _run, search
+from invdyn.diagnosis.hypotheses.search import _moves, _refine_tracker_errors, _run, exchange, search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
@@ -76,11 +75,13 @@ def test_no_more_effects_at_once_than_asked_for():
     bound = diagnosis_problem(record(arm.with_effects(damped, spring).replace(**given), 0)[0], PENDULUM)
     start, few = data_path(bound), {damped.name, spring.name, "payload", "camera_scale"}
     struck = [name for name in EFFECTS if name not in few]
-    one = search(bound, *start, struck, most=1)
-    assert one.most == 1  # no prior for another beside it
+    alone = replace(bound, rules=bound.rules.replace(max_effects=1))
+    one = search(alone, *start, struck)
+    assert one.rules.search.max_effects == 1  # no prior for another beside it
     assert {len(cause.effects) for cause in one.pool.values()} == {0, 1}
     assert not one.ranked[0].complete
-    both = search(bound, *start, struck, most=2).ranked[0]
+    pair = replace(bound, rules=bound.rules.replace(max_effects=2))
+    both = search(pair, *start, struck).ranked[0]
     assert {effect.key for effect in both.effects} == {damped.key, spring.key}
     assert both.complete
 
@@ -97,9 +98,9 @@ def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
     path, stray = data_path(bound)
     bound = bound.shaped(path)
     none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (drag, rotor)))
-    found = HypothesisPool([friction, drag, rotor], {"": none, other.key: other}, [], path, stray)
+    found = HypothesisPool(bound, [friction, drag, rotor], {"": none, other.key: other}, [], path, stray)
     assert found.ranked[0] is other
-    _run(bound, found)
+    _run(found)
     best = found.ranked[0]
     assert {effect.key for effect in best.effects} == {friction.key, rotor.key}
     assert [best.values[name.removeprefix("effect.")] for name in values] == pytest.approx([0.05, 0.02], rel=0.15)
@@ -136,7 +137,7 @@ def parts():
             ("", (), 0.0), ("a", (a,), 100.0), ("b", (b,), 90.0), ("bc", (b, c), 150.0), ("abc", (a, b, c), 300.0),
         )
     }  # fmt: skip
-    return list(effects.values()), of, path
+    return bound, list(effects.values()), of, path
 
 
 @pytest.mark.parametrize(
@@ -156,32 +157,33 @@ def parts():
 )
 def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swapped, most, moves):
     """Those that imitate two whatever their sizes must not stand in the way of what is beside one of them."""
-    candidates, of, path = parts()
+    bound, candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
     pool = {cause.key: cause for each, cause in of.items() if len(each) <= 1}
     given = of.get(best) or replace(of["bc"], effects=(*of["a"].effects, *of["b"].effects))
     name[given.key] = best
     by_size = np.where((np.arange(len(given.by_size)) == 0) == complete, 0.0, -100.0)
     pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
-    found = HypothesisPool(candidates, pool if best else {given.key: given}, [], path, False, most=most)
-    made = _moves(found, True, {(exchange, "")} if swapped else set())
+    bound = replace(bound, rules=bound.rules.replace(max_effects=most))
+    found = HypothesisPool(bound, candidates, pool if best else {given.key: given}, [], path, False)
+    made = _moves(found, {(exchange, "")} if swapped else set())
     assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
 def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
-    candidates, of, path = parts()
+    bound, candidates, of, path = parts()
     name = {cause.key: each for each, cause in of.items()}
-    found = HypothesisPool(candidates, {"": of[""]}, [], path, False)
+    found = HypothesisPool(bound, candidates, {"": of[""]}, [], path, False)
     asked, finds = [], {"add ": ["a", "b"], "exchange a": ["abc"], "drop abc": ["bc"]}
     for move in ("drop", "add", "exchange"):
 
-        def made(_, pool, base, move=move):
+        def made(pool, base, move=move):
             asked.append(f"{move} {name[base.key]}")
             for each in finds.get(asked[-1], ()):
                 pool.add(of[each])
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
-    _run(diagnosis_problem(recording_of(), PENDULUM), found)
+    _run(found)
     assert asked == ["add ", "add a", "exchange a", "drop abc", "add abc", "exchange abc"]
 
 
@@ -278,16 +280,16 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
         return replace(none, effects=effects, log_evidence=none.log_evidence + nats, by_size=by_size)
 
     mistaken = like(cleared, outliers, nats=200.0 if strays else -200.0)
-    found = HypothesisPool([outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, simulation_path=path)
+    found = HypothesisPool(bound, [outliers, limit], {"": like(False, nats=0.0)}, [], path, stray, simulation_path=path)
 
-    def promising(_, pool, base, given, width):
+    def promising(pool, base, given, width):
         asked.append((base.key, given, width))
         pool.add(like(complete, limit, nats=200.0 + gain))
 
     monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
     monkeypatch.setattr(module, "screened_with", lambda *_: screened)
     monkeypatch.setattr(module, "refine_best", promising)
-    _refine_tracker_errors(bound, found)
+    _refine_tracker_errors(found)
     assert asked == ([] if taken is None else [("", screened, DEFAULT.search.max_candidates_for_outliers)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])

@@ -7,8 +7,8 @@ import pytest
 from pendulum import ARM, LOOSE
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
+from invdyn.diagnosis.hypotheses.laws import finely_stepped
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.substeps import finely_stepped
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.recordings import Recording

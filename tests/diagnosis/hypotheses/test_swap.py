@@ -40,18 +40,18 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
         "refine",
         lambda s, effects, values, path, *_, **__: started.append(path),
     )
-    follow_neighbours(bound, HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray), 1)
+    follow_neighbours(HypothesisPool(bound, candidates, {"": none, one.key: cause}, [], path, stray), 1)
     assert torch.equal(started[0], cause.path)
     assert torch.equal(started[1], path)
     # Followed once: not again before it has gained something.
     tried = len(started)
-    pool = HypothesisPool(candidates, {"": none, one.key: cause}, [], path, stray)
-    follow_neighbours(bound, pool, 1)
+    pool = HypothesisPool(bound, candidates, {"": none, one.key: cause}, [], path, stray)
+    follow_neighbours(pool, 1)
     assert len(started) == 2 * tried
-    follow_neighbours(bound, pool, 1)
+    follow_neighbours(pool, 1)
     assert len(started) == 2 * tried
     pool.pool[one.key] = replace(cause, log_evidence=cause.log_evidence + 2 * DEFAULT.search.equal_gain)
-    follow_neighbours(bound, pool, 1)
+    follow_neighbours(pool, 1)
     assert len(started) == 3 * tried
 
 
@@ -64,13 +64,13 @@ def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
         refine(bound, effects, values, path, LOOSE) for effects, values in (((), {}), ((truth,), {}), ((wide,), start))
     )
     lost = replace(narrow, log_evidence=wider.log_evidence - 10)
-    found = HypothesisPool(considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, lost, wider)}, [], path, stray)
+    follow_neighbours(found, 1)
     assert found.pool[truth.key].log_evidence > wider.log_evidence
     assert abs(found.pool[truth.key].mean[0] - 0.06) < 4 * narrow.sd[0]
     assert found.followed == {truth.key: wider.log_evidence}
-    arrived = HypothesisPool(considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
-    follow_neighbours(bound, arrived, 1)
+    arrived = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, narrow, wider)}, [], path, stray)
+    follow_neighbours(arrived, 1)
     assert not arrived.followed
 
 
@@ -88,14 +88,14 @@ def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     lost = replace(lost, names=names, mean=np.array([0.04, 0.3, 1.0]), covariance=1e-6 * np.eye(3))
     assert not narrow.complete
     pool = {cause.key: cause for cause in (none, narrow, lost)}
-    found = HypothesisPool(considered(bound), pool, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), pool, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.pool[truth.key]
     assert cause.complete
     assert np.all(np.abs(cause.mean - [0.04, 0.12, 1.0]) < 4 * cause.sd)
     assert found.followed[truth.key] == narrow.log_evidence
-    there = HypothesisPool(considered(bound), {**pool, truth.key: cause}, [], path, stray)
-    follow_neighbours(bound, there, 1)
+    there = HypothesisPool(bound, considered(bound), {**pool, truth.key: cause}, [], path, stray)
+    follow_neighbours(there, 1)
     assert truth.key not in there.followed
 
 
@@ -113,20 +113,20 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
     tissue = refine(bound, (EFFECTS["soft_tissue"]("wrist", *form),), {}, path, LOOSE)
     elsewhere = refine(bound, (EFFECTS["soft_tissue"]("elbow", *form),), {}, path, LOOSE)
     best = replace(tissue, log_evidence=max(tissue.log_evidence, none.log_evidence + 20))
-    found = HypothesisPool(considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), {c.key: c for c in (none, best)}, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.pool[truth.key]
     assert found.ranked[0] is cause
     assert cause.log_evidence > tissue.log_evidence + 10
     assert cause.values[f"{truth.key}.stiffness"] == pytest.approx(values["stiffness"], rel=0.1)
     once = dict(found.followed)
     assert once[truth.key] == best.log_evidence
-    follow_neighbours(bound, found, 1)
+    follow_neighbours(found, 1)
     assert found.followed == once
     other = replace(elsewhere, log_evidence=best.log_evidence)
     for pool in ((none, other), (replace(none, log_evidence=best.log_evidence + 100), best)):
-        found = HypothesisPool(considered(bound), {c.key: c for c in pool}, [], path, stray)
-        follow_neighbours(bound, found, 1)
+        found = HypothesisPool(bound, considered(bound), {c.key: c for c in pool}, [], path, stray)
+        follow_neighbours(found, 1)
         assert truth.key not in found.pool
 
 
@@ -137,8 +137,8 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     bound = diagnosis_problem(recording_of(friction, rows=120, coefficient=0.2), PENDULUM)
     path, stray = data_path(bound)
     none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (stand_in,)))
-    found = HypothesisPool([stand_in, friction], {c.key: c for c in (none, other)}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, [stand_in, friction], {c.key: c for c in (none, other)}, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.ranked[0]
     assert cause.key == friction.key
     assert cause.complete
@@ -179,11 +179,11 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
 
     monkeypatch.setattr(SWAP, "neighbours", neighbours)
     bound = diagnosis_problem(recording_of(chain[0], damping=0.05), PENDULUM)
+    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=1e6))
     path, stray = data_path(bound)
     none, first = (refine(bound, effects, {}, path, LOOSE) for effects in ((), chain[:1]))
-    found = HypothesisPool(chain, {c.key: c for c in (none, first)}, [], path, stray)
-    bound = replace(bound, rules=DEFAULT.replace(large_screen_error=1e6))
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, chain, {c.key: c for c in (none, first)}, [], path, stray)
+    follow_neighbours(found, 1)
     assert {effect.key for effect in chain} <= found.pool.keys()
 
 
@@ -197,8 +197,8 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     assert not hard.complete
     own = [effect for effect in considered(bound) if effect.key == ideal.key]
-    found = HypothesisPool(own, {"": none, hard.key: hard}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, own, {"": none, hard.key: hard}, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.pool[ideal.key]
     assert cause.complete
     assert cause.effects[0].soft
@@ -210,11 +210,11 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     started = []
     monkeypatch.setattr(SWAP, "regularised", lambda _, cause, mine, **__: started.append(cause))
     follow_neighbours(
-        bound, HypothesisPool([], {"": none, hard.key: hard}, [], path, stray, followed=found.followed), 1
+        HypothesisPool(bound, [], {"": none, hard.key: hard}, [], path, stray, followed=found.followed), 1
     )
     monkeypatch.setattr(SWAP, "show_more", lambda *_: False)
     other = replace(hard, by_size=cause.by_size)
-    follow_neighbours(bound, HypothesisPool([], {"": none, other.key: other}, [], path, stray), 1)
+    follow_neighbours(HypothesisPool(bound, [], {"": none, other.key: other}, [], path, stray), 1)
     assert not started
 
 
@@ -231,7 +231,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
-    monkeypatch.setattr(SWAP, "refine_regularised", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "refine_regularised", lambda found, cause: followed.append(cause.key))
     monkeypatch.setattr(SWAP, "_swap_each", lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
@@ -241,7 +241,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     rigid, soft = ([e for e in considered(bound) if (e.softened() is None) is hard] for hard in (True, False))
     causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
     stiff = cause(max(gains), *rigid[:number])
-    follow_neighbours(bound, HypothesisPool([], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
+    follow_neighbours(HypothesisPool(bound, [], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
     assert followed == [causes[i].key for i in kept]
 
 
@@ -251,7 +251,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
-    monkeypatch.setattr(SWAP, "refine_regularised", lambda problem, found, cause: followed.append(cause.key))
+    monkeypatch.setattr(SWAP, "refine_regularised", lambda found, cause: followed.append(cause.key))
     monkeypatch.setattr(SWAP, "show_more", lambda *_: alike)
     tissue = next(e for e in considered(bound) if e.name == "soft_tissue")
     nothing_left = np.where(np.arange(len(none.by_size)) == 0, 0.0, -1e4)
@@ -261,7 +261,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
         log_evidence=none.log_evidence + 50, by_size=nothing_left,
     )  # fmt: skip
     assert cause.complete
-    follow_neighbours(bound, HypothesisPool([], {"": none, cause.key: cause}, [], path, stray), 1)
+    follow_neighbours(HypothesisPool(bound, [], {"": none, cause.key: cause}, [], path, stray), 1)
     assert followed == [cause.key] * alike
 
 
@@ -276,8 +276,8 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}
     wider = refine(bound, (wide,), {f"{wide.key}.{name}": value for name, value in values.items()}, path, LOOSE)
     monkeypatch.setattr(SWAP, "regularised", lambda *_, **__: None)
-    found = HypothesisPool(considered(bound), {"": none, wider.key: wider}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, considered(bound), {"": none, wider.key: wider}, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.pool["coulomb_friction.pivot"]
     assert cause.effects[0].soft
     assert cause.complete
@@ -300,8 +300,8 @@ def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(nam
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     own = [effect for effect in considered(bound) if effect.key == ideal.key]
-    found = HypothesisPool(own, {"": none, hard.key: hard}, [], path, stray)
-    follow_neighbours(bound, found, 1)
+    found = HypothesisPool(bound, own, {"": none, hard.key: hard}, [], path, stray)
+    follow_neighbours(found, 1)
     cause = found.pool[ideal.key]
     assert not hard.complete
     assert cause.complete
@@ -324,8 +324,8 @@ def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
     room, tried = SWAP, []
     monkeypatch.setattr(room, "refine", lambda *_, **__: None)
     monkeypatch.setattr(room, "regularised", lambda _, cause, mine, **__: tried.append(mine.key))
-    found = HypothesisPool(considered(bound), {"": none, cause.key: cause}, [], path, stray)
+    found = HypothesisPool(bound, considered(bound), {"": none, cause.key: cause}, [], path, stray)
     for _ in range(2):
-        follow_neighbours(bound, found, 2)
+        follow_neighbours(found, 2)
     assert tried == [effect.key for effect in both]
     assert len(both) == 2

@@ -134,7 +134,7 @@ def test_a_tracker_that_trails_is_no_gap():
     assert right.of_memory > 10
     assert abs(right.mean[0] - 0.05) < 4 * right.sd[0]
     assert correlation(prediction_errors(here, right))[0] > 0.1
-    pool = HypothesisPool([], {"": none}, [], path, False)
+    pool = HypothesisPool(here, [], {"": none}, [], path, False)
     assert share_explained(here, pool, right) > 0.9
     score = scores(here, right).score
     white = scores(here, replace(right, memory=0.0)).score
@@ -146,7 +146,7 @@ def test_errors_that_remember_much_are_something_else():
     here = diagnosis_problem(trailing(DEFAULT.residual.max_error_correlation + 0.25), PENDULUM)
     path = path_of(here)
     none, right = (refine(here, effects, {}, path, LOOSE) for effects in ((), (FRICTION,)))
-    pool = HypothesisPool([], {"": none}, [], path, False)
+    pool = HypothesisPool(here, [], {"": none}, [], path, False)
     assert share_explained(here, pool, right) == 0.0
 
 

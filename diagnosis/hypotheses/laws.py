@@ -1,4 +1,40 @@
-"""The law of a tracker's noise: where outliers were found, heavy tails may describe them better.
+"""The laws under which causes are compared: sub-steps of the integrator, steps of the file's engine, tails of the
+noise.
+
+A law is no cause: it is part of the model of every cause in a pool. The likelier law is kept.
+
+Sub-steps
+---------
+Integrator sub-steps whose error costs no evidence.
+
+An error that no row shows adds up over a recording, and what takes shorter sub-steps for other reasons, as
+backlash does, gains what all others lose by it. The error e_t (D,) of row t is the difference to twice as many
+sub-steps along a path. As an input into the state it changes the whitened innovations by a column w
+(:mod:`.innovations`), and log evidence by ½ |w|² on average; with next to no residual, which would take the error
+along.
+
+That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`).
+
+Steps of an engine
+------------------
+Whether a recording is one of the file's own engine, whose steps are of first order: the search under either law.
+
+A robot, or an engine of high order, moves as the equations say. An engine that takes steps of h as the file asks for
+(:mod:`invdyn.models.bodies.joint_parts`) errs by h/2 of the commands' rate. With a stiff servo that is like a damper,
+
+    τ = u(t + h/2) − u(t) ≈ h/2 K ċ,        of a servo with targets c, ċ ≈ θ̇,
+
+and would be taken for one. Both laws are as probable before, and neither is a cause. Under the law whose "no effect" is
+likelier the search is made. The best cause, its parts and "no effect" are then compared with the other law, and where
+one of them is likelier there, the search is made under that as well:
+
+    log p(y | cause, law) + log P(cause)
+
+Where "no effect" leaves nothing of the equations themselves, no engine is tried.
+
+Heavy tails
+-----------
+The law of a tracker's noise: where outliers were found, heavy tails may describe them better.
 
 Student's t with ν degrees of freedom, one for both coordinates of a detection (:mod:`.multivariate_t`), competes with
 the normal law (Lange, Little & Taylor 1989, JASA 84), with
@@ -12,24 +48,95 @@ width is that of its own best fit: it is the noise of the rows between its tails
 nowhere, so all are refined from what they were.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from math import inf, log
 
+import numpy as np
 import torch
+from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.attempt import attempt
+from invdyn.diagnosis.budget import attempt
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.swap import without
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_mistake
 from invdyn.diagnosis.problem.unknowns import unknowns
+from invdyn.diagnosis.sensitivity.sensitivities import Columns
+from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.inference.posterior.initialise import SUBSTEPS
 
 WIDTH = "emission.keypoint_scale"
 """The law's width."""
+
+
+def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
+    """The problem with as many sub-steps as its own, or the fewest whose error along ``path`` (T, D) costs little.
+
+    Under an unknown torque, which takes errors along, it stays as it is.
+    """
+    if not problem.regime.knows_torque:
+        return problem
+    model, ends = problem.model, {}
+    rows = torch.arange(1, len(path))
+    about = filter_of(problem, problem.model, path, np.array([problem.rules.residual.spike_size]))
+    nothing = np.zeros((*problem.observations.shape, 1))
+
+    def reached(count: int) -> Tensor:
+        """States (T − 1, D) at the ends of all rows, in so many sub-steps."""
+        if count not in ends:
+            with torch.no_grad():
+                ends[count] = model.in_substeps(count).transition_mean(path[:-1], rows)
+        return ends[count]
+
+    own = problem.model.substeps
+    for count in (n for n in SUBSTEPS if own <= n <= problem.rules.search.max_step_factor * own):
+        error = (reached(count) - reached(2 * count)).unsqueeze(-1).numpy()
+        if 0.5 * whiten(problem, about, Columns(error, nothing)).gram[0, 1, 1] <= problem.rules.search.max_step_loss:
+            break
+    return problem.in_substeps(count)
+
+
+def search_either(
+    problem: DiagnosisProblem, path: Tensor, search: Callable[[DiagnosisProblem], HypothesisPool]
+) -> tuple[DiagnosisProblem, HypothesisPool]:
+    """The likelier law's problem, and the pool that ``search`` finds under it; ``path`` (T, D) is the data's."""
+    own, other = problem, problem.in_engine_steps()
+    if other is own:
+        return own, search(own)
+    alone = attempt(refine, own, (), {}, path, own.regime.path_size)
+    if alone is None or alone.complete:
+        return own, search(own)
+    stepped = attempt(refine, other, (), {}, alone.path, best_size(own, alone))
+    if stepped is not None and stepped.log_evidence > alone.log_evidence:
+        own, other = other, own
+    found = search(own)
+    best = found.best
+    worth = best.log_evidence + found.log_prior(best.effects)
+    if not best.effects or not any(
+        c.log_evidence + found.log_prior(c.effects) > worth for c in _under(other, own, best)
+    ):
+        return own, found
+    again = attempt(search, other)
+    if again is None or again.best.log_evidence + found.log_prior(again.best.effects) <= worth:
+        return own, found
+    return other, again
+
+
+def _under(law: DiagnosisProblem, own: DiagnosisProblem, best: FittedHypothesis) -> list[FittedHypothesis]:
+    """A cause of its ``own`` law under another ``law``, whole, without each effect, and without any."""
+    size = best_size(own, best)
+    whole = attempt(refine, law, best.effects, best.values, best.path, size, **best.searched)
+    if whole is None:
+        return []
+    parts = [attempt(without, law, whole, effect, size) for effect in best.effects if len(best.effects) > 1]
+    parts.append(attempt(refine, law, (), {}, best.path, size))
+    return [whole, *(part for part in parts if part is not None)]
 
 
 def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
@@ -57,7 +164,7 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
     bare = {cause.key: cause for cause in (_without_outliers(problem, each) for each in reversed(near))}
     candidates = [effect for effect in found.candidates if effect.name not in MISTAKES]
-    carried = replace(found, pool={}, candidates=candidates, has_outliers=False)
+    carried = replace(found, problem=tailed, pool={}, candidates=candidates, has_outliers=False)
     clear = [cause for cause in bare.values() if not any(is_mistake(type(effect)) for effect in cause.effects)]
     parts = [partial(_carried, tailed, each) for each in clear]
     for cause in side_by_side(parts, found.workers, tailed.budget):
