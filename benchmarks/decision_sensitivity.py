@@ -118,10 +118,10 @@ def main() -> None:
         cells, most = [], 0.0
         for factor in (0.5, 2.0):
             rules = DEFAULT.replace(**{each.name: changed(each.name, each.default, factor)})
-            now = {
-                name: said(replace(bound, rules=rules), replace(found, rules=rules), missing)
-                for name, (bound, found, missing) in searches.items()
-            }
+            now = {}
+            for name, (bound, found, missing) in searches.items():
+                other = replace(bound, rules=rules)
+                now[name] = said(other, replace(found, problem=other), missing)
             others = [name for name in usual if now[name].other(usual[name])]
             cells.append(f"{len(others)}{': ' if others else ''}{', '.join(others)}")
             most = max(most, *(now[name].apart(usual[name]) for name in usual))

@@ -210,8 +210,8 @@ def diagnose(
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
-    if (untold := left_out(_each(recording), rules)) is not None:
-        result = replace(result, method=result.method | {LEFT_OUT: untold})
+    if (unused := left_out(_each(recording), rules)) is not None:
+        result = replace(result, method=result.method | {LEFT_OUT: unused})
     report(5, "done")
     return result
 

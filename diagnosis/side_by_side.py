@@ -42,7 +42,7 @@ def side_by_side(parts: Sequence[Callable[[], T]], workers: int, budget: Budget 
         return [part() for part in parts]
     context = multiprocessing.get_context("fork")
     turn = context.Value("i", 1)
-    children = [_begun(context, parts, turn) for _ in range(min(workers, len(parts)) - 1)]
+    children = [_started(context, parts, turn) for _ in range(min(workers, len(parts)) - 1)]
     try:
         answers = _worked(parts, turn, 0)
         for child, inbox in children:
@@ -78,7 +78,7 @@ def _next(turn: Synchronized) -> int:
     return place
 
 
-def _begun(
+def _started(
     context: ForkContext, parts: Sequence[Callable[[], T]], turn: Synchronized
 ) -> tuple[multiprocessing.process.BaseProcess, Connection]:
     inbox, outbox = context.Pipe(duplex=False)

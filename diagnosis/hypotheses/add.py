@@ -64,7 +64,7 @@ def add(found: HypothesisPool, base: FittedHypothesis) -> None:
 def screened_with(found: HypothesisPool, base: FittedHypothesis) -> list[Screened]:
     """The screen with ``base`` along its path; of the first effect of all, each where it does best."""
     problem = found.problem
-    free, (model, common, point) = free_beside(found, base.effects), expanded_about(problem, base)
+    free, (model, common, point) = joinable(found, base.effects), expanded_about(problem, base)
     path, few = (base.path if base.effects else found.path), base.complete and bool(base.effects)
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if not others(base) and not few and found.simulation_path is not None:
@@ -73,7 +73,7 @@ def screened_with(found: HypothesisPool, base: FittedHypothesis) -> list[Screene
     return screen_in_halves(found.workers, problem, model, path, free, common, point, few)
 
 
-def free_beside(found: HypothesisPool, taken: Sequence[Effect], *but: Effect) -> list[Effect]:
+def joinable(found: HypothesisPool, taken: Sequence[Effect], *but: Effect) -> list[Effect]:
     """Effects with columns that may join those that are ``taken``, ``but`` for some."""
     keys = {effect.key for effect in (*taken, *but)}
     busy = any(isinstance(effect, Hidden) and not isinstance(effect, Follower) for effect in taken)

@@ -164,12 +164,12 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
         found += [
             effect.bound(body)
             for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, bool(observation.data())) and _told(effect.bound(body), servos)
+            if effect.tellable(commanded, bool(observation.data())) and _commandable(effect.bound(body), servos)
         ]
     return found
 
 
-def _told(effect: Effect, servos: set[int]) -> bool:
+def _commandable(effect: Effect, servos: set[int]) -> bool:
     """Whether what happens to a command could happen to the commands of the effect's motors: ``servos`` get targets."""
     return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
 

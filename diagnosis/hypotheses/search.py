@@ -32,7 +32,7 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.budget import Spent, attempt
-from invdyn.diagnosis.hypotheses.add import add, free_beside, refine_best, screened_with
+from invdyn.diagnosis.hypotheses.add import add, joinable, refine_best, screened_with
 from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
@@ -172,7 +172,7 @@ def exchange(found: HypothesisPool, best: FittedHypothesis) -> None:
         base = best.less(problem, old)
         if is_searched(old) or base.model.jumping is not None:
             continue  # backlash leaves no path that a screen could be along
-        free = free_beside(found, base.effects, old)
+        free = joinable(found, base.effects, old)
         if best.complete and not base.effects:
             arrived = {cause.key for cause in found.pool.values() if cause.complete}
             free = [effect for effect in _likely(found, free) if effect.key not in arrived]
@@ -186,7 +186,6 @@ def exchange(found: HypothesisPool, best: FittedHypothesis) -> None:
         least = nothing + needed(found.top - nothing, explained=True, rules=problem.rules)
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
         refine_best(
-            problem,
             found,
             replace(base, model=model, path=path, log_evidence=nothing),
             near,

@@ -34,7 +34,7 @@ def calm(time: Tensor, observations: Tensor, starts: Sequence[int] = ()) -> Tens
 
 
 def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
-    away = _beside_parabolas(when, values, FIXED.neighbour_rows, FIXED.outlier_rank, FIXED.min_parabolas)
+    away = _distances(when, values, FIXED.neighbour_rows, FIXED.outlier_rank, FIXED.min_parabolas)
     jumps = _jumps(away, values, FIXED.outlier_ratio)
     ends = list(EDGES) if len(values) > len(EDGES) else []
     jumps[ends] = False
@@ -42,7 +42,7 @@ def _calm(when: np.ndarray, values: np.ndarray) -> np.ndarray:
     for row in ends:
         open_ones = np.isfinite(left[row])
         for near in EDGES[row]:
-            away = _beside_parabolas(when, left, near, 1, 1)
+            away = _distances(when, left, near, 1, 1)
             known = open_ones & np.isfinite(away[row])
             left[row, known & _jumps(away, left, FIXED.edge_outlier_ratio)[row]] = np.nan
             open_ones &= ~known
@@ -61,7 +61,7 @@ def _usual(away: np.ndarray) -> float:
     return float(np.quantile(away, FIXED.outlier_quantile)) if len(away) else 0.0
 
 
-def _beside_parabolas(
+def _distances(
     time: np.ndarray, values: np.ndarray, neighbours: tuple[int, ...], place: int, fewest: int
 ) -> np.ndarray:
     """Distances d (T, O), the smallest but ``place`` − 1, of ``values`` at ``time`` (T, 1).

@@ -279,8 +279,8 @@ def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, .
     total = missed.sum() + penalty
     by_joint = np.sqrt(missed * len(unit))
     explained = motion.torque - off * unit * np.sqrt(motion.torque.size)
-    asked_of = np.sqrt((explained**2).mean(0))
-    return Explained(float(np.sqrt(total)), by_joint, scaled * sd, by_joint * unit, asked_of, penalty)
+    required_of = np.sqrt((explained**2).mean(0))
+    return Explained(float(np.sqrt(total)), by_joint, scaled * sd, by_joint * unit, required_of, penalty)
 
 
 def _bounded(r: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray, first: int) -> np.ndarray:

@@ -82,7 +82,7 @@ def _whole(values: np.ndarray) -> list:
 
 
 def _usual(points: np.ndarray) -> np.ndarray:
-    """Without those far outside of where nearly all are: a detection gone astray must not shrink the picture."""
+    """Without those far outside of where nearly all are: an outlier must not shrink the picture."""
     points = points[np.isfinite(points).all(-1)]
     if not len(points):
         return points

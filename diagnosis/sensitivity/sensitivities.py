@@ -195,13 +195,13 @@ def hypotheses(
 
 def spacing(parameter: Parameter, value: float) -> float:
     """Half the distance between a grid point's neighbours."""
-    low, high = _beside(parameter, value)
+    low, high = _grid_neighbours(parameter, value)
     return float(max((high - low) / 2, 1e-12))
 
 
 def neighbours(parameter: Parameter, value: float, rules: Rules = DEFAULT) -> tuple[float, float]:
     """A grid point's neighbours; at an end of the grid, as far beyond it as the last one is before, within bounds."""
-    low, high = _beside(parameter, value)
+    low, high = _grid_neighbours(parameter, value)
     if low == high:
         return bounds(parameter, rules)
     least, most = bounds(parameter, rules)
@@ -211,7 +211,7 @@ def neighbours(parameter: Parameter, value: float, rules: Rules = DEFAULT) -> tu
     return low, min(2 * value - low, most) if high == value else high
 
 
-def _beside(parameter: Parameter, value: float) -> tuple[float, float]:
+def _grid_neighbours(parameter: Parameter, value: float) -> tuple[float, float]:
     """The grid points before and after one; itself at an end."""
     grid = np.sort(parameter.grid)
     place = int(np.argmin(np.abs(grid - value)))

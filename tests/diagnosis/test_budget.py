@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pendulum import ARM, PENDULUM, recording_of
 
-from invdyn.diagnosis import diagnose
+from invdyn.diagnosis import Rules, diagnose
 from invdyn.diagnosis.budget import Budget, Spent
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.search import search
@@ -102,15 +102,15 @@ def test_seconds_end_it_by_the_clock():
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_stopped_diagnosis_is_told(monkeypatch, workers):
+def test_a_stopped_diagnosis_is_told(workers):
     """Whatever listens stays in this process: it may be nothing that can be sent to another."""
     tried = []
 
     def told(done, total, what):
         tried.append((done, what))
 
-    monkeypatch.setattr(ROOM, "PASSES", 1.0)
-    found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told)
+    rules = Rules().replace(passes_per_row=1.0)
+    found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told, rules=rules)
     told = found.to_json()["search"]
     assert told == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at, "planar_only": []}
     assert found.not_looked_at > 0

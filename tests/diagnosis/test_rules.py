@@ -14,7 +14,7 @@ from invdyn.diagnosis import Rules, diagnose
 from invdyn.diagnosis.rules import COLUMNS, DEFAULT, numbers
 from invdyn.models.effects import EFFECTS
 
-ROOT = Path(room.__file__).parent
+ROOT = Path(room.__file__).resolve().parent
 SOURCES = {p: ast.parse(p.read_text("utf-8")) for p in sorted(ROOT.rglob("*.py"))}
 NOT_TUNED = {"SCHEMA", "Z90", "Z_90"}
 """A version of a file format, and quantiles of the unit Gaussian."""

@@ -153,9 +153,9 @@ def test_units_are_asked_for_once_and_by_one_function(tmp_path, monkeypatch, com
     diagnosing = importlib.import_module("invdyn.diagnosis.diagnose")
     asked, begun = [], []
 
-    def counted(reading, body):
+    def counted(reading, body, rules):
         asked.append(reading.recording.name)
-        return wrong_units(reading, body)
+        return wrong_units(reading, body, rules)
 
     def begins(*_, checked=False, **__):
         begun.append(checked)  # else it would ask once more

@@ -122,7 +122,7 @@ def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch, gain, barred)
     add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert tried[2:] == ["lens_distortion", "base_motion", *barred]
     # And what was more promising than those is no less worth it for having had no room before.
-    monkeypatch.setattr(room, "WIDTH", (1, 1))
+    bound = replace(bound, rules=DEFAULT.replace(max_candidates_alone=1, max_candidates_added=1))
     tried.clear()
     add(HypothesisPool(bound, considered(bound), {"": none}, [], path, stray), none)
     assert tried == ["lens_distortion", "base_motion", *barred]

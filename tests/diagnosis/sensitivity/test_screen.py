@@ -7,7 +7,7 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
-from invdyn.diagnosis.hypotheses.add import _aside
+from invdyn.diagnosis.hypotheses.add import _better_of
 from invdyn.diagnosis.hypotheses.continuation import continued, data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -71,7 +71,7 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
         screen(bound, bound.model, each, effects, common, common.mean)
         for each in (path, continued(bound, bound.model, path, DEFAULT.residual.min_path_size))
     )
-    aside = _aside(along, own)
+    aside = _better_of(along, own)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
     assert set(before) == set(after)
     here = shutter.key
