@@ -25,11 +25,7 @@ TITLES = {
 HEAD = """# The numbers of a diagnosis
 
 Written by `python docs/numbers_page.py` from [rules.py](../diagnosis/rules.py), which explains the sources. A run takes
-other ones as an argument:
-
-```python
-diagnose(recording, body, rules=Rules().replace(tolerance=0.02))
-```
+other ones as an argument: `diagnose(recording, body, rules=Rules().replace(tolerance=0.02))`.
 """
 
 

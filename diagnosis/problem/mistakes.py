@@ -22,6 +22,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -121,16 +122,15 @@ def fixed(joints: int, encoders: bool, by_target: Sequence[bool] = ()) -> Iterat
     for group in _groups(joints):
         commands = _commands(servo[list(group)])
         turn = f"change the sign of its {commands}"
-        yield Mistake(
-            "torque sign", group, f"the {commands} have the other sign", turn, -1.0, _mirrored(group, torque=True)
-        )
+        words, right = f"the {commands} have the other sign", methodcaller("mirrored", group, torque=True)
+        yield Mistake("torque sign", group, words, turn, -1.0, right)
         if encoders:
             words, turn = f"angles and {commands} are counted the other way (clockwise)", "change the signs of both"
-            yield Mistake("direction", group, words, turn, -1.0, _mirrored(group, angle=True, torque=True))
+            right = methodcaller("mirrored", group, angle=True, torque=True)
+            yield Mistake("direction", group, words, turn, -1.0, right)
             words = f"the angles are counted the other way (clockwise), the {commands} are not"
-            yield Mistake(
-                "angle sign", group, words, "change the sign of its angles", -1.0, _mirrored(group, angle=True)
-            )
+            turn = "change the sign of its angles"
+            yield Mistake("angle sign", group, words, turn, -1.0, methodcaller("mirrored", group, angle=True))
     if not encoders:
         return
     for one, other in combinations(range(joints), 2):
@@ -139,7 +139,7 @@ def fixed(joints: int, encoders: bool, by_target: Sequence[bool] = ()) -> Iterat
         commands = _commands(servo[[one, other]])
         for angles, torques, what in ((order, order, "columns"), (order, plain, "angles"), (plain, order, commands)):
             words, turn = f"the {what} are exchanged", f"exchange the two joints' {what}"
-            yield Mistake("exchanged", (one, other), words, turn, 0.0, _picked(angles, torques))
+            yield Mistake("exchanged", (one, other), words, turn, 0.0, methodcaller("picked", angles, torques))
 
 
 def _commands(by_target: np.ndarray) -> str:
@@ -173,12 +173,13 @@ def units(
             if not own <= ({None, "rad"} if unit == "deg" else {"deg"}):
                 continue
             scales = dict.fromkeys(tracks, factor)
-            yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, _in_unit(**scales), scales)
+            right = methodcaller("in_unit", **scales)
+            yield Mistake(kind, (), f"{what} are {words}", said.put(unit, tracks), factor, right, scales)
     for unit, name in TIME_UNITS.items():
         if unit == (said.time or "s"):
             continue
         factor = TIMES[unit] / TIMES.get(said.time or "s", 1.0)
-        right, scales = _scaled(time=factor), {"time": factor}
+        right, scales = methodcaller("scaled", time=factor), {"time": factor}
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
 
@@ -198,7 +199,7 @@ def gears(terms: RobotTerms, place: str, rules: Rules) -> Iterator[Mistake]:
             turn = f'write {numbers} in the line "target = …" of each, in {place}'
             factor = np.ones(joints)
             factor[list(group)] = (said / gear)[list(group)]
-            words, right = f"the servos' targets are counted at {at}", _retargeted(factor)
+            words, right = f"the servos' targets are counted at {at}", methodcaller("retargeted", factor)
             yield Mistake("gear", group, words, turn, float(gear[group[0]]), right)
 
 
@@ -297,7 +298,7 @@ def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> 
         terms = None if motion.terms is None else replace(motion.terms, commands=motion.terms.commands * given)
         return replace(motion, torque=motion.torque * given, terms=terms)
 
-    return Mistake("scale", group, words, turn, factor, _retargeted(given) if by_target else right)
+    return Mistake("scale", group, words, turn, factor, methodcaller("retargeted", given) if by_target else right)
 
 
 def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
@@ -320,23 +321,3 @@ def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
         return replace(motion, torque=motion.torque - constant, terms=terms)
 
     return Mistake("offset", (joint,), words, turn, offset, right)
-
-
-def _in_unit(angle: float = 1.0, target: float = 1.0) -> Callable[[Motion], Motion | None]:
-    return lambda motion: motion.in_unit(angle, target)
-
-
-def _retargeted(factor: np.ndarray) -> Callable[[Motion], Motion | None]:
-    return lambda motion: motion.retargeted(factor)
-
-
-def _scaled(**by: Any) -> Callable[[Motion], Motion]:
-    return lambda motion: motion.scaled(**by)
-
-
-def _mirrored(joints: tuple[int, ...], angle: bool = False, torque: bool = False) -> Callable[[Motion], Motion]:
-    return lambda motion: motion.mirrored(joints, angle, torque)
-
-
-def _picked(angles: list[int], torques: list[int]) -> Callable[[Motion], Motion | None]:
-    return lambda motion: motion.picked(angles, torques)

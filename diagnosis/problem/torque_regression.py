@@ -55,7 +55,7 @@ class Motion:
         q, qd, qdd = self.q * angle, self.qd * angle / time, self.qdd * angle / time**2
         return Motion(q, qd, qdd, self.torque * torque, rules=self.rules)
 
-    def in_unit(self, angle: float, target: float) -> "Motion | None":
+    def in_unit(self, angle: float = 1.0, target: float = 1.0) -> "Motion | None":
         """Angles and servos' targets times factors, about the zeros of the log; None where no target is known."""
         if self.terms is None:
             return self.scaled(angle=angle) if target == 1 else None
