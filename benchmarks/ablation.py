@@ -133,7 +133,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
         setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
     begun = time.process_time()
     try:
-        _, found = _searched(bound, left_out, 1)
+        found = _searched(bound, left_out, 1)
     finally:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)

@@ -107,7 +107,8 @@ def main() -> None:
     ROOM.confirm_all = remembered
     searches = {}
     for pool in sorted(asked.pools.glob("*.pickle")):
-        bound, found = pickle.loads(pool.read_bytes())
+        found = pickle.loads(pool.read_bytes())
+        bound = found.problem
         before, _, path = residual(bound, found.pool[""])
         searches[pool.stem] = bound, found, (before, path)
     usual = {name: said(*search) for name, search in searches.items()}

@@ -167,7 +167,8 @@ def diagnose(
             f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
         )
     report(1, "screen and refine")
-    bound, found = _searched(bound, without, workers)
+    found = _searched(bound, without, workers)
+    bound = found.problem
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
     if other is not None:
@@ -221,14 +222,14 @@ def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
     return [recording] if isinstance(recording, Recording) else recording
 
 
-def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The problem in sub-steps short enough along the data's path, and the search."""
+def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int) -> HypothesisPool:
+    """The search in sub-steps short enough along the data's path."""
     try:
         with diverging():
             path, has_outliers = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            bound, found = search_either(bound, path, lambda law: search(law, path, has_outliers, without, workers))
-            return heavy_tailed(bound, found)
+            found = search_either(bound, path, lambda law: search(law, path, has_outliers, without, workers))
+            return heavy_tailed(found)
     except Diverged as error:
         raise cannot_follow(bound) from error
 

@@ -4,7 +4,7 @@ SI units and radians.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -334,14 +334,15 @@ def _gap(gap: Gap) -> dict:
 
 CONVERTER.register_unstructure_hook(float, lambda value: value if math.isfinite(value) else None)
 GAP = make_dict_unstructure_fn(Gap, CONVERTER)
-for kind, hook in {
+HOOKS: dict[type, Callable[[Any], dict]] = {
     Finding: _finding,
     Learned: _learned,
     Cause: _cause,
     Gap: _gap,
     Interval: make_dict_unstructure_fn(Interval, CONVERTER, stop=override(rename="end")),
     Outside: make_dict_unstructure_fn(Outside, CONVERTER, terms=override(omit=True)),
-}.items():
+}
+for kind, hook in HOOKS.items():
     CONVERTER.register_unstructure_hook(kind, hook)
 
 

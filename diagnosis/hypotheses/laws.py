@@ -104,14 +104,14 @@ def finely_stepped(problem: DiagnosisProblem, path: Tensor) -> DiagnosisProblem:
 
 def search_either(
     problem: DiagnosisProblem, path: Tensor, search: Callable[[DiagnosisProblem], HypothesisPool]
-) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """The likelier law's problem, and the pool that ``search`` finds under it; ``path`` (T, D) is the data's."""
+) -> HypothesisPool:
+    """The pool that ``search`` finds under the more probable law; ``path`` (T, D) is the data's."""
     own, other = problem, problem.in_engine_steps()
     if other is own:
-        return own, search(own)
+        return search(own)
     alone = attempt(refine, own, (), {}, path, own.regime.path_size)
     if alone is None or alone.complete:
-        return own, search(own)
+        return search(own)
     stepped = attempt(refine, other, (), {}, alone.path, best_size(own, alone))
     if stepped is not None and stepped.log_evidence > alone.log_evidence:
         own, other = other, own
@@ -121,11 +121,11 @@ def search_either(
     if not best.effects or not any(
         c.log_evidence + found.log_prior(c.effects) > worth for c in _under(other, own, best)
     ):
-        return own, found
+        return found
     again = attempt(search, other)
     if again is None or again.best.log_evidence + found.log_prior(again.best.effects) <= worth:
-        return own, found
-    return other, again
+        return found
+    return again
 
 
 def _under(law: DiagnosisProblem, own: DiagnosisProblem, best: FittedHypothesis) -> list[FittedHypothesis]:
@@ -139,16 +139,16 @@ def _under(law: DiagnosisProblem, own: DiagnosisProblem, best: FittedHypothesis)
     return [whole, *(part for part in parts if part is not None)]
 
 
-def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[DiagnosisProblem, HypothesisPool]:
-    """Problem and pool under the law with heavy tails, if that is more probable than the outliers of the best cause.
+def heavy_tailed(found: HypothesisPool) -> HypothesisPool:
+    """The pool under the law with heavy tails, if that is more probable than the outliers of the best cause.
 
-    Both as they are where the best cause has none, or other mistakes of the tracker, or where the budget
+    As it is where the best cause has none, or other mistakes of the tracker, or where the budget
     ends before it is carried over.
     """
-    best = found.best
+    problem, best = found.problem, found.best
     rest = _without_outliers(problem, best)
     if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
-        return problem, found
+        return found
     degrees = problem.rules.residual.tail_degrees
     laws = [_fitted(problem, rest, each) for each in degrees]
     worth, tailed, there = max(laws, key=lambda law: law[0])
@@ -159,7 +159,7 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
         # It may be the path: where no torque constrains it, Gauss–Newton bends it to outliers.
         found.add(_with_outliers(problem, best, there))
     if found.pool[best.key].log_evidence > rivals:
-        return problem, found
+        return found
     least = found.score(best) - problem.rules.search.max_tail_gap
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
     bare = {cause.key: cause for cause in (_without_outliers(problem, each) for each in reversed(near))}
@@ -169,7 +169,7 @@ def heavy_tailed(problem: DiagnosisProblem, found: HypothesisPool) -> tuple[Diag
     parts = [partial(_carried, tailed, each) for each in clear]
     for cause in side_by_side(parts, found.workers, tailed.budget):
         carried.add(cause)
-    return (tailed, carried) if {"", rest.key} <= carried.pool.keys() else (problem, found)
+    return carried if {"", rest.key} <= carried.pool.keys() else found
 
 
 def _without_outliers(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:

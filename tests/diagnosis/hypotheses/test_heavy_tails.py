@@ -36,10 +36,11 @@ def searched(law, seed=0, rows=300):
 
 @pytest.mark.long
 def test_heavy_tails_take_the_place_of_stray_detections():
-    here, stray, found = searched("heavy")
+    _, stray, found = searched("heavy")
     assert stray
     assert found.ranked[0].key == f"outliers+{FRICTION.key}"
-    tailed, carried = heavy_tailed(here, found)
+    carried = heavy_tailed(found)
+    tailed = carried.problem
     assert tailed.model.observation.family == "multivariate_t"
     degrees = tailed.model.parameters["emission.df"]
     assert degrees.item() in DEFAULT.residual.tail_degrees
@@ -53,7 +54,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
     assert not any("outliers" in key for key in carried.pool)
     # Of what was looked for the report still tells, but for what the law says now.
     mistimed = EFFECTS["timestamp_jitter"]()
-    _, other = heavy_tailed(here, replace(found, candidates=[*found.candidates, mistimed]))
+    other = heavy_tailed(replace(found, candidates=[*found.candidates, mistimed]))
     assert {e.name for e in other.candidates} == {e.name for e in (*found.candidates, mistimed)} - set(MISTAKES)
     other = diagnosis_problem(recording_of(FRICTION, ARM, seed=1, damping=0.05), ARM)
     there = best.carried_to(other)
@@ -64,11 +65,9 @@ def test_heavy_tails_take_the_place_of_stray_detections():
 @pytest.mark.quick("normal")
 @pytest.mark.parametrize("law", ["normal", "strays"])
 def test_normal_noise_and_stray_detections_stay_what_they_are(law):
-    here, stray, found = searched(law)
+    _, stray, found = searched(law)
     assert stray is (law == "strays")
-    same, pool = heavy_tailed(here, found)
-    assert same is here
-    assert pool is found
+    assert heavy_tailed(found) is found
     assert ("outliers" in found.ranked[0].key) is (law == "strays")
 
 
@@ -77,7 +76,7 @@ def test_strays_that_bent_their_own_path_are_looked_for_along_that_of_the_other_
     here, _, found = searched("strays")
     best, none = found.best, found.pool[""]
     bent = replace(best, log_evidence=none.log_evidence + 100, path=none.path)
-    same, pool = heavy_tailed(here, replace(found, pool={"": none, best.key: bent}))
-    assert same is here
+    pool = heavy_tailed(replace(found, pool={"": none, best.key: bent}))
+    assert pool.problem is here
     assert pool.best.key == best.key
     assert pool.best.log_evidence == pytest.approx(best.log_evidence, abs=1.0)
