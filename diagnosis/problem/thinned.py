@@ -62,7 +62,7 @@ def _where(recording: Recording, parts: Sequence[Recording]) -> str:
     begin = recording.time[0]
     spans = ", ".join(f"{part.time[0] - begin:.4g}–{part.time[-1] - begin:.4g}" for part in parts)
     return (
-        f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} with most information were used, {spans} s, "
+        f"{recording.name} is long: of its {whole:.4g} s the {some:.4g} s with most information were used, {spans} s, "
         "one after the other"
     )
 
