@@ -223,7 +223,7 @@ def test_stray_detections_are_explained_before_anything_else(monkeypatch):
     extending = sys.modules[add.__module__]
     plain = extending.refine_best
     monkeypatch.setattr(
-        extending, "refine_best", lambda s, f, base, *rest: bases.append(base.key) or plain(s, f, base, *rest)
+        extending, "refine_best", lambda found, base, *rest: bases.append(base.key) or plain(found, base, *rest)
     )
     found = search(bound, path, stray)
     assert found.ranked[0].key == "label_swap.elbow.wrist"
