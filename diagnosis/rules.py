@@ -35,7 +35,7 @@ class EvidenceRules:
     temper_scale_within: float = number(
         8000.0, "nats", "the same for intervals of parameters", "measured: 740 intervals, .90 cover the truth"
     )
-    tolerance: float = number(0.005, "typical torque", "torques below it do not matter (--tolerance)", "stated")
+    tolerance: float = number(0.005, "typical torque", "torques below it do not matter", "stated")
     engine_error_step: float = number(0.002, "s", "first-order step whose error does not matter", "MuJoCo's default")
     worst_window: float = number(1.0, "s", "a torque is averaged over so long, then compared", "stated")
     detectable_torque: float = number(0.2, "typical torque", 'the answer "no gap" must rule it out', "stated")
@@ -129,7 +129,7 @@ class ScreeningRules:
 class SearchRules:
     """Which candidates are refined."""
 
-    max_effects: int = number(4, "effects", "of one cause (--max-effects)", "effort: 4 is where the prior ends")
+    max_effects: int = number(4, "effects", "of one cause", "effort: 4 is where the prior ends")
     max_candidates_alone: int = number(10, "candidates", "refined without another effect", "effort")
     max_candidates_added: int = number(4, "candidates", "refined together with other effects", "effort")
     max_candidates_exchanged: int = number(2, "candidates", "refined in place of an effect", "effort")
