@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def read_cameras(
             "the lengths of a calibration are in metres: leave --learn lengths out; a length to learn is "
             "{start = 0.3} in the body's file"
         )
-    options = {"fps": fps, "format": format, "individual": individual}
+    options: dict[str, Any] = {"fps": fps, "format": format, "individual": individual}
     clocks = dict(map(camera_offset, offset or ()))
     found = load_filmed(files, calibration, body.keypoint_names, offsets=clocks, **options)
     _check_size(found, body)

@@ -3,9 +3,10 @@
 Each command checks, then works, then writes.
 """
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -122,7 +123,8 @@ def infer(
     files = OutputFiles(tuple(out or ()))
     tracks = given.tracks_file(files.usual_tracks)
     files.check(*given.files, inferred=True, tracks=tracks, torques=not kinematic)
-    arguments, run = given.arguments, inference.infer
+    arguments = given.arguments
+    run: Callable[..., Any] = inference.infer
     if kinematic:
         run = inference.infer_kinematics
         arguments = kinematic_arguments(arguments | {"executor": given.workers})

@@ -55,7 +55,7 @@ def read_film(
             "make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
             stacklevel=2,
         )
-    root = base or body.base_keypoint
+    root = base or body.base_keypoint or ""
     kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
     track_into(tracks, film, tracker, person, kept, progress, (root, *body.keypoint_names))
     (reading,) = read_table(
