@@ -2,5 +2,5 @@
 
 import lazy_loader
 
-# The names stand in __init__.pyi, where editors and type checkers look too; a file is imported once one is asked for.
+# The names stand in __init__.pyi, where editors and type checkers look too; files are imported at first use.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -17,7 +17,7 @@ import arviz as az
 import numpy as np
 import torch
 
-from invdyn.inference.comparison import Comparison, in_own_process, kept, measured, named, run_methods
+from invdyn.inference.comparison import Comparison, checked_methods, in_own_process, kept, measured, named, run_methods
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
@@ -31,7 +31,7 @@ from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.errors import first_line
 
-FEWEST_ROWS = 10
+MIN_ROWS = 10
 """Rows that a head must have for its parameters to be fitted."""
 
 
@@ -71,24 +71,16 @@ def compare(
         progress: called with (done, total, what).
         device, filters_per_task, executor: as :func:`.infer.infer` takes them.
         checkpoint: folder of this comparison, made when missing: fits, what methods keep of their work, and each
-            method's result with its seconds and memory are kept there, so that the same call goes on from there.
+            method's result with its seconds and memory are kept there, so that the same call continues from there.
         binding: further options of :func:`.initialise.arm_problem`: torque, integrator, family, learn_lengths …
 
     Raises:
         InputError: no or an unknown method, a ``held_out`` that is no share, both ``isolate`` and an ``executor``,
             more filters than memory holds, a recording that does not fit the body, or a checkpoint of another run.
     """
-    methods = tuple(dict.fromkeys(methods))
-    if unknown := [method for method in methods if method not in METHODS]:
-        raise InputError(f"expected methods among {', '.join(METHODS)}, got {unknown[0]!r}")
-    if not methods:
-        raise InputError(f"expected at least one method among {', '.join(METHODS)}")
-    if replicates < 1:
-        raise InputError(f"expected at least one replicate, got {replicates}")
+    methods = checked_methods(methods, tuple(METHODS), replicates, isolate, executor)
     if not 0 <= held_out < 1:
         raise InputError(f"expected a share of rows to hold out from 0 up to 1, got {held_out}")
-    if isolate and executor is not None:
-        raise InputError("expected isolated methods or workers, got both: memory is measured in one process")
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)
     check_memory(recording.num_frames, body.num_joints, options, methods)
     bind: Callable[..., Task] = partial(prepare, body=body, options=options, seed=seed, settings=settings, **binding)
@@ -133,7 +125,7 @@ def _split(
     first = rows - round(share * rows)
     if first == rows:
         return None, None, "" if share == 0 else "the tail is empty"
-    if first < FEWEST_ROWS:
+    if first < MIN_ROWS:
         return None, None, f"{first} rows are too few to fit parameters to"
     if whole.problem.model.body.has_priors:
         return None, None, "the body is uncertain, and each filter has another"

@@ -8,7 +8,7 @@ Each row is a method:
     usable                                            whether the evidence stands (:mod:`.second_opinion`); where it
                                                       does not, a note says why and its error is NaN
     replicates, replicates_sd                         runs with other seeds, and the sd of their log-evidence
-    log_score                                         nats per held-out row (:mod:`.held_out`), where it is asked for
+    log_score                                         nats per held-out row (:mod:`.held_out`), where it is requested
     elpd_loo, elpd_loo_se, pareto_k                   leave-one-row-out by PSIS, nats; the largest k of a row
     outer_ess                                         effective number of filters, of methods that have filters
     r_hat, ess_bulk, ess_tail, mcse                   the worst of the monitored numbers; mcse is that of the mean,
@@ -45,10 +45,8 @@ from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.recordings import InputError
 from invdyn.recordings.errors import first_line
-
-MAX_MONITORED = 200
-"""Numbers whose mixing is computed, evenly chosen of all."""
 
 REPLICATES = 71
 """Place of the seeds of replicates (:func:`.seeds.derived`)."""
@@ -143,14 +141,11 @@ def kept(
     return idata, seconds, memory
 
 
-Row = dict[str, Any]
-
-
 @dataclass
 class Rows:
     """What the runs of several methods leave, by method: rows of the table, posteriors, failures and notes."""
 
-    rows: dict[str, Row]
+    rows: dict[str, dict[str, Any]]
     posteriors: dict[str, az.InferenceData]
     failures: dict[str, str]
     notes: dict[str, str]
@@ -169,6 +164,20 @@ class Rows:
         table["failure"] = [self.failures.get(method, "") for method in table.index]
         table.index.name = "method"
         return table
+
+
+def checked_methods(
+    methods: Sequence[str], known: Sequence[str], replicates: int, isolate: bool, executor: Executor | None
+) -> tuple[str, ...]:
+    """The methods, each once; raises InputError for none, one that is not ``known``, or options that do not fit."""
+    methods = tuple(dict.fromkeys(methods))
+    if unknown := [method for method in methods if method not in known] or ([] if methods else ["none"]):
+        raise InputError(f"expected methods among {', '.join(known)}, got {unknown[0]}")
+    if replicates < 1:
+        raise InputError(f"expected at least one replicate, got {replicates}")
+    if isolate and executor is not None:
+        raise InputError("expected isolated methods or workers, got both: memory is measured in one process")
+    return methods
 
 
 def run_methods(
@@ -205,9 +214,13 @@ def run_methods(
         found.posteriors[method] = idata
         if doubt := evidence_note(idata):
             found.note(method, f"evidence {doubt}")
-        row: Row = {**scores(idata), **evidence(idata), **mixing_figures(idata, monitored(idata)), **loo(idata)}
+        row: dict[str, Any] = {
+            **scores(idata),
+            **evidence(idata),
+            **mixing_figures(idata, monitored(idata)),
+            **loo(idata),
+        }
         row |= {"seconds": seconds, "memory": memory, "ess_per_second": row["ess_bulk"] / seconds}
-
         values = [row["log_evidence"]]
         try:
             for number in range(1, replicates):
@@ -216,8 +229,8 @@ def run_methods(
                 values.append(again.attrs["log_evidence"])
         except Exception as error:
             found.note(method, f"replicate {len(values) + 1} failed: {first_line(error)}")
-        spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-        found.rows[method] = row | {"replicates": len(values), "replicates_sd": spread}
+        scatter = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+        found.rows[method] = row | {"replicates": len(values), "replicates_sd": scatter}
     return found
 
 
@@ -228,15 +241,15 @@ def _reseeded(task: Any, number: int) -> Any:
     return other if checkpoint is None else replace(other, checkpoint=checkpoint)
 
 
-def mixing_figures(idata: az.InferenceData, draws: np.ndarray) -> dict[str, float]:
+def mixing_figures(idata: az.InferenceData, draws: np.ndarray, max_numbers: int = 200) -> dict[str, float]:
     """Return r_hat, ess_bulk, ess_tail and mcse, the worst over draws (chain, draw, …).
 
-    A method that knows better, such as a sampler that has more draws than it keeps, says so in its attributes. Too few
-    draws give NaN.
+    Of more than ``max_numbers`` numbers as many are taken, evenly chosen. A method that knows better, such as a sampler
+    that has more draws than it keeps, says so in its attributes. Too few draws give NaN.
     """
     stated = idata["sample_stats"].attrs
     numbers = draws.reshape(*draws.shape[:2], -1)
-    chosen = np.unique(np.linspace(0, numbers.shape[-1] - 1, MAX_MONITORED).round().astype(int))
+    chosen = np.unique(np.linspace(0, numbers.shape[-1] - 1, max_numbers).round().astype(int))
     numbers = numbers[..., chosen].astype(float)
     varying = numbers.std((0, 1)) > 0
     if not varying.any() or numbers.shape[1] < 4:

@@ -42,7 +42,7 @@ def check_model(model: StateSpaceModel, observations: Any, *, needs: Iterable[st
             (T,) are taken for one column where ``observation_dim`` is 1.
         needs: preconditions of the method, names in :data:`NEEDS`. Methods that linearise compute in float64.
 
-    Raises ModelError, one line, for whatever does not fit; ValueError for an unknown need.
+    Raises ModelError, one line, for anything that does not fit; ValueError for an unknown need.
     """
     needs = frozenset(needs)
     if unknown := needs - set(NEEDS):

@@ -65,7 +65,7 @@ def infer(
         executor: any ``concurrent.futures`` executor, whose workers share the filters or, where the body is
             uncertain, its draws; the result is the same to the bit. None: this process.
         checkpoint: folder of this run, made when missing: the fit, the guide and the filters that are done are kept
-            there, so that the same call goes on where it was interrupted.
+            there, so that the same call continues where it was interrupted.
         learn_cameras: what is not known of a film's cameras, see :func:`arm_problem`.
 
     Returns:

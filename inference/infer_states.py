@@ -100,8 +100,8 @@ def infer_states(
         model: any state-space model.
         rows: (T, O) observations, NaN where missing.
         method: a key of ``METHODS`` that needs no body, or of ``PARAMETER_METHODS``.
-        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter; by default 64, 100 and 4. Of
-            "pmmh" and "smc2" particles and draws have the meaning and the default that these have.
+        num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter; by default 64, 100 and 4.
+            "pmmh" and "smc2" have chains and runs for filters, and parameters for draws, and defaults of their own.
         smoothing: of particle filters, "backward", which needs a transition density, or "genealogy", which also takes a
             state without noise.
         seed: same seed, same result.
@@ -109,7 +109,7 @@ def infer_states(
         device: of the particle filters, "cpu" or "cuda".
         filters_per_task: see :class:`.SMCOptions`.
         executor: any ``concurrent.futures`` executor, whose workers share the filters; the same bits without one.
-        checkpoint: folder of this run, made when missing, from which the same call goes on.
+        checkpoint: folder of this run, made when missing, from which the same call continues.
         name: of the data, for the result.
         arguments: further ones of the method.
 
@@ -119,14 +119,24 @@ def infer_states(
     Raises ModelError, a ValueError of one line, for a model that contradicts itself or its rows, or a method that
     cannot serve it; InputError for sizes that no machine has; SMCFailed where all particles have weight zero.
     """
+    sizes = given_sizes(num_filters, num_particles, num_draws)
+    options = SMCOptions(**sizes, smoothing=smoothing, device=device, filters_per_task=filters_per_task)
+    own = {method: parameter_sizes(method, sizes) | arguments}
+    return state_space_task(model, rows, options, seed, checkpoint, name, own).run(method, progress, executor)
+
+
+def given_sizes(num_filters: int | None, num_particles: int | None, num_draws: int | None) -> dict[str, int]:
+    """Those of the sizes that are given, as :class:`.SMCOptions` takes them."""
     sizes = {"num_filters": num_filters, "num_particles": num_particles, "num_draws": num_draws}
-    given: dict[str, Any] = {size: value for size, value in sizes.items() if value is not None}
-    options = SMCOptions(**given, smoothing=smoothing, device=device, filters_per_task=filters_per_task)
-    if method in PARAMETER_METHODS:
-        arguments = given | arguments
-    return state_space_task(model, rows, options, seed, checkpoint, name, {method: arguments}).run(
-        method, progress, executor
-    )
+    return {size: value for size, value in sizes.items() if value is not None}
+
+
+def parameter_sizes(method: str, sizes: dict[str, int]) -> dict[str, Any]:
+    """Sizes as arguments of a method that learns parameters; {} of the others, which take them in their options."""
+    if method not in PARAMETER_METHODS:
+        return {}
+    chains = {"pmmh": "num_chains", "smc2": "num_runs"}
+    return {chains[method] if size == "num_filters" else size: value for size, value in sizes.items()}
 
 
 def state_space_task(

@@ -24,7 +24,7 @@ from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
 
 SAMPLERS = ("smc", "laplace")
-"""Methods that ask a model for no torque."""
+"""Methods that need no torque of a model."""
 
 
 def infer_kinematics(
@@ -47,7 +47,7 @@ def infer_kinematics(
 
     Args:
         recording: keypoints, encoders, or both.
-        body: its masses play no part.
+        body: its masses are not used.
         order: of the walk, 1 or 2; see :mod:`invdyn.models.kinematic`.
         method: "smc" or "laplace".
         num_filters, num_particles, num_draws: as of :func:`.infer`.
@@ -99,7 +99,7 @@ def infer_kinematics(
     if lengths := _lengths(fitted.model, fitted.log_sd, learned):
         record["length"] = lengths
     return METHODS[method](
-        replace(problem, model=cast(ArmModel, fitted.model)),  # these methods ask for no more than both have
+        replace(problem, model=cast(ArmModel, fitted.model)),  # these methods need no more than both have
         options=options,
         start=fitted.path,
         seed=seed,

@@ -18,15 +18,15 @@ from invdyn.recordings.units import Units
 
 POSES = (0.0, 0.7, -1.3)
 """Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
-KEPT = 1e-9
+ROUNDING = 1e-9
 """Of the reach: what a distance may change by for rounding."""
 
 
 def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guessed: bool = False) -> None:
     """Raise InputError for distances, times or speeds that are not this body's, unless ``units`` declare them.
 
-    Keypoints are in the body's frame. Lengths are ``guessed`` where the body does not state them, or by whoever calls.
-    Of a body of another kind than a chain in the plane or a tree, nothing is asked.
+    Keypoints are in the body's frame. Lengths are ``guessed`` where the body does not state them, or the caller says
+    so. Of a body of another kind than a chain in the plane or a tree, nothing is checked.
     """
     if isinstance(body, Body):
         guessed = guessed or any(not isinstance(link.length, int | float) for link in body.links)
@@ -94,7 +94,7 @@ def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
     found = {}
     for one, other in combinations(range(len(body.keypoint_names)), 2):
         lengths = apart[:, one, other]
-        if np.ptp(lengths) <= KEPT * apart.max() < lengths[0]:
+        if np.ptp(lengths) <= ROUNDING * apart.max() < lengths[0]:
             found[body.keypoint_names[one], body.keypoint_names[other]] = float(lengths[0])
     return found
 
@@ -102,8 +102,8 @@ def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
 def distances_of_base(body: Tree) -> dict[tuple[str, str], float]:
     """Distances, m, from the first joint's place to the sites that keep it."""
     apart = (_posed(body) - body.parameters().position[0]).norm(dim=-1).numpy()
-    kept = np.ptp(apart, axis=0) <= KEPT * apart.max()
-    places = zip(body.keypoint_names, kept & (apart[0] > KEPT * apart.max()), apart[0], strict=True)
+    kept = np.ptp(apart, axis=0) <= ROUNDING * apart.max()
+    places = zip(body.keypoint_names, kept & (apart[0] > ROUNDING * apart.max()), apart[0], strict=True)
     return {(BASE, name): float(length) for name, known, length in places if known}
 
 

@@ -71,7 +71,7 @@ class Probe:
         self._check_type(drawn.value)
         self._check_finite("initial", drawn)
         self.floating = drawn.value.is_floating_point()
-        # Methods that linearise hand on states in float64, whatever the model's type.
+        # Methods that linearise hand on states in float64, for any type of the model.
         self.dtype = torch.float64 if self.linearises else model.dtype
 
         self.sets = self._parameter_sets(first, self._handed_on(drawn.value))
@@ -162,7 +162,7 @@ class Probe:
             found = getattr(self.model, method)(*arguments)
         except Diverged:
             raise
-        except Exception as error:  # whatever a user's code raises becomes the one line
+        except Exception as error:  # any error of a user's code becomes the one line
             raise self.error(method, f"a distribution{where}", _raised(error), _fix(error) or fix) from error
         if not isinstance(found, Distribution):
             got = "nothing" if found is None else type(found).__name__

@@ -19,14 +19,14 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
+from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.inference.posterior.turns import fit_over_gaps
 from invdyn.models import ArmModel, ArticulatedBody, Body, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
-DROP, LITTLE = "emission.confidence_drop", 0.02
+DROP, MIN_DROP = "emission.confidence_drop", 0.02
 """The noise's growth between the surest and the least sure rows, and the least that its fit starts from."""
 
 
@@ -52,7 +52,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
     wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
     if (pixels := problem.model.observation.pixels) is not None:
-        # The first camera is where it is, and its clock is right: all others' are told from it.
+        # The first camera is where it is, and its clock is right: all others' are relative to it.
         clocks, poses = (tuple(range(n, n * len(pixels.camera_names))) for n in (1, 3))
         wanted += [Free("camera.offset", sd=1.0, entries=clocks, unit=CLOCK)]
         wanted += [Free(f"camera.{way}", sd=1.0, entries=poses, unit=unit) for way, unit in POSE.items()]
@@ -98,7 +98,7 @@ class Task:
         Parameters are the fitted ones. With ``learn`` "vsmc" has them uncertain, on a body that is not: their prior
         is that of the fit, around where it began, for around what was fitted it would count the data twice.
 
-        With an ``executor`` its workers do what can be spread (:mod:`.distribute`). Raises InputError when the method
+        With an ``executor`` its workers share the work (:mod:`.distribute`). Raises InputError when the method
         cannot do with an uncertain body, LostWork when workers that died could not be replaced.
         """
         run: Callable[..., az.InferenceData] = METHODS[method]
@@ -188,7 +188,7 @@ def prepare(
 def _fitted(
     problems: Sequence[Problem], frees: Sequence[list[Free]], report: Report | None, checkpoint: Checkpoint | None
 ) -> tuple[int, ArmModel, Tensor, bool, list[float], list[str]]:
-    """Number of the likeliest problem, its model, mode, whether it converged, evidence of each, nats, and doubts.
+    """Number of the most probable problem, its model, mode, whether it converged, evidence of each, nats, and doubts.
 
     They come from the checkpoint, or are fitted and kept there.
     """
@@ -201,7 +201,7 @@ def _fitted(
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         model = problem.model
         if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
-            model = model.replace(**{DROP: model.parameters[DROP].clamp(min=LITTLE)})
+            model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
         part = _share(report, number, len(problems))
         fits.append(fit_over_gaps(model, problem.observations, free, part, problem.origin))
     evidence = [float(each.log_marginal) for each, _ in fits]

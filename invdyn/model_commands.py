@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import Device, Draws, Filters, FolderOut, Isolate, Methods, Particles, Replicates, Seed, Workers
+from .options import Checkpoint, Device, FolderOut, Isolate, Methods, Replicates, Seed, Workers
 from .settings import with_settings
 
 if TYPE_CHECKING:
@@ -26,14 +26,15 @@ def compare_model(
     methods: Methods,
     out: FolderOut,
     truth: Annotated[Path | None, typer.Option(help="True states to score against: .csv, a column each.")] = None,
-    filters: Filters = 64,
-    particles: Particles = 100,
-    draws: Draws = 4,
+    filters: Annotated[int | None, typer.Option(min=1, help="Filters (64), PMMH chains, SMC² runs.")] = None,
+    particles: Annotated[int | None, typer.Option(min=1, help="Particles of each filter (100).")] = None,
+    draws: Annotated[int | None, typer.Option(min=1, help="Trajectories of each (4), or parameters.")] = None,
     replicates: Replicates = 1,
     isolate: Isolate = False,
     seed: Seed = 0,
     workers: Workers = None,
     device: Device = "cpu",
+    checkpoint: Checkpoint = None,
 ) -> None:
     """Run several methods on your own state-space model.
 
@@ -66,6 +67,7 @@ def compare_model(
             progress=progress,
             device=device,
             executor=executor,
+            checkpoint=checkpoint,
             name=rows.name,
         )
     write_comparison(outputs, comparison, states)

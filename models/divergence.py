@@ -30,9 +30,9 @@ def ran_away(row: int) -> str:
 
 def check_finite(path: torch.Tensor) -> None:
     """Raise :class:`Diverged` with the first row at which a path (…, T, D) is no number."""
-    lost = ~torch.isfinite(path).all(-1).reshape(-1, path.shape[-2]).all(0)
-    if bool(lost.any()):
-        raise Diverged(ran_away(int(lost.int().argmax())))
+    diverged = ~torch.isfinite(path).all(-1).reshape(-1, path.shape[-2]).all(0)
+    if bool(diverged.any()):
+        raise Diverged(ran_away(int(diverged.int().argmax())))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""States that the others drive by jumps, as those others make them: the gap of a gear with play along a known motion.
+"""States that the others drive by jumps, as those others make them: the gap of a gear with backlash along a motion.
 
     g_t = f_t(g_{t−1}),  t = 1 … T−1,   g_0 and all other states given
 

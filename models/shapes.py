@@ -1,4 +1,4 @@
-"""Joining and applying parameters whose leading dimensions differ: one set beside many."""
+"""Joining and applying parameters whose leading dimensions differ: one set and many."""
 
 from collections.abc import Sequence
 

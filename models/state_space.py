@@ -88,19 +88,19 @@ class StateSpaceModel(ABC):
 
     # -- what helps Gauss–Newton to start, overridden where more is known ------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:
-        """Candidate paths (C, T, D) to linearise at first; by default the prior mean, held."""
+        """Candidate paths (C, T, D) to linearise at first; by default the prior mean, constant."""
         mean = gaussian_mean(self.initial()).detach()
         return mean.expand(1, len(observations), -1).clone()
 
     def relaxed(self, amount: float) -> Self:
-        """Return a model with looser dynamics, from 1 (loose) to 0 (itself): a homotopy for stiff models."""
+        """Return a model with relaxed dynamics, from 1 (relaxed) to 0 (itself): a homotopy for stiff models."""
         return self
 
     @property
-    def lone(self) -> tuple[list[int], list[int]] | None:
+    def independent_sensor_states(self) -> tuple[list[int], list[int]] | None:
         """States by number, and the entry of a row that each of them shows in, its own; or None.
 
-        Each goes on by itself, linearly, moves no other state, and is added to what its entry shows: their slopes are
+        Each evolves by itself, linearly, moves no other state, and is added to what its entry shows: their slopes are
         a number each, which one nudge of all of them tells.
         """
         return None

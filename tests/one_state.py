@@ -60,7 +60,7 @@ class HeavyTailed(Autoregression):
 
 
 class Positive(Autoregression):
-    """Gamma transitions: no Gaussian look-alike."""
+    """Gamma transitions: no Gaussian approximation."""
 
     def initial(self):
         return Gamma(torch.full((1,), 4.0, dtype=self.dtype), 4.0).to_event(1)

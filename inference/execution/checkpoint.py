@@ -1,16 +1,17 @@
 """Checkpoints: tensors in a folder, such that a program killed at any moment can go on from the last one.
 
-Two files: ``tensors-<step>-<random>.safetensors`` and ``manifest.json``, which names it. Each is written beside its
+Two files: ``tensors-<step>-<random>.safetensors`` and ``manifest.json``, which names it. Each is written next to its
 place, flushed to the disk and moved there in one step; the manifest comes last, and the tensor file of the
-checkpoint before is removed after that. Whoever reads meets the old checkpoint or the new one, never half of both.
+checkpoint before is removed after that. A reader finds the old checkpoint or the new one, never half of both.
 
     manifest    {"schema": 2, "place": …, "step": …, "fingerprint": {…}, "state": {…}, "tensors": file name,
                  "sha256": of that file, "versions": {…}, "seal": SHA-256 of all entries before}
 
 The fingerprint is what the run was started with (seed, sizes, a digest of the data): a checkpoint of another run is
 refused, not continued, as is one in another part's place. What does not match its hash is refused too: a file that was
-damaged, shortened, edited or exchanged would be continued to an answer that nobody could tell from a right one. The
-hashes tell accidents; who means harm can write new ones. safetensors holds numbers only, so that loading runs no code.
+damaged, shortened, edited or exchanged would be continued to an answer that could not be distinguished from a right
+one. The hashes tell accidents; who means harm can write new ones. safetensors holds numbers only, so that loading runs
+no code.
 """
 
 import hashlib

@@ -1,12 +1,12 @@
-"""Work in parts, spread over the workers of any ``concurrent.futures`` executor.
+"""Work in parts, distributed over the workers of any ``concurrent.futures`` executor.
 
 Results are the same to the bit without an executor, on one worker or on many, because
 
-* a part is a fixed share of the work, whoever does it, with a seed of its own (:mod:`.seeds`);
+* a part is a fixed share of the work, on any worker, with a seed of its own (:mod:`.seeds`);
 * two parts never run in one process at once (torch's random numbers are the process's, and a Dask worker may have
   several threads), and the number of torch's threads changes no number in them;
 * results are put together in the order of the parts, not of their arrival, and of parts that have failed by then the
-  first is the one that is told of.
+  first is the one that is reported.
 
 Machines of different processors may still round differently.
 
@@ -40,7 +40,7 @@ T = TypeVar("T")
 RETRIES = 3
 """Fresh pools that a computation is given, at most."""
 
-_alone = RLock()
+_one_at_a_time = RLock()
 
 
 class LostWork(OSError):
@@ -69,7 +69,7 @@ def distribute(
         steps: that each part consists of, for ``progress``.
         progress: called with (steps done, steps of all parts).
 
-    Raises LostWork; whatever a part raises, with its name as a note; and InputError for a broken checkpoint.
+    Raises LostWork; any error of a part, with its name as a note; and InputError for a broken checkpoint.
     """
     count = len(arguments)
     stores = [inside(checkpoint, f"part-{i}") for i in range(count)]
@@ -124,8 +124,10 @@ def _collect(
             missing = _collect_once(part, arguments, names, missing, executor, arrived)
             if not missing:
                 return
-    lost = ", ".join(names[i] for i in missing)
-    raise LostWork(f"{lost} could not be had: workers died {RETRIES + 1} times; is there memory for so many at once?")
+    missing_parts = ", ".join(names[i] for i in missing)
+    raise LostWork(
+        f"{missing_parts} could not be had: workers died {RETRIES + 1} times; is there memory for so many at once?"
+    )
 
 
 def _collect_once(
@@ -136,15 +138,15 @@ def _collect_once(
     executor: Executor,
     arrived: Arrived,
 ) -> list[int]:
-    """Have the ``missing`` parts done; returns those that were lost because the pool broke."""
+    """Have the ``missing`` parts done; returns those that were missing_parts because the pool broke."""
     pending: dict[Future, int] = {}
-    lost: list[int] = []
+    missing_parts: list[int] = []
     try:
         for i in missing:
             try:
                 pending[executor.submit(_in_worker, pickle.dumps((part, arguments[i])))] = i
             except BrokenExecutor:
-                lost.append(i)
+                missing_parts.append(i)
         seen = time.monotonic()
         while pending:
             # With a timeout, for Windows hears no Ctrl-C inside a wait without end.
@@ -159,9 +161,9 @@ def _collect_once(
                 try:
                     result = pickle.loads(_named(names[i], future.result))
                 except BrokenExecutor:
-                    lost.append(i)
+                    missing_parts.append(i)
                 except Exception as error:
-                    if not _cluster_lost(error):
+                    if not _is_cluster_error(error):
                         raise
                     raise LostWork(f"{names[i]} could not be had: {type(error).__name__}: {error}") from error
                 else:
@@ -169,11 +171,11 @@ def _collect_once(
     finally:
         for future in pending:
             future.cancel()
-    return sorted(lost)
+    return sorted(missing_parts)
 
 
 def _run(part: Part, arguments: tuple, progress: Callable[[int, int], None] | None) -> Tensors:
-    with _alone:
+    with _one_at_a_time:
         return part(*arguments, progress=progress)
 
 
@@ -182,7 +184,7 @@ def _in_worker(work: bytes) -> bytes:
 
     Both ways as bytes: by themselves tensors would go through shared memory, which lasts no longer than the worker.
     """
-    with _alone:
+    with _one_at_a_time:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
@@ -200,7 +202,7 @@ def _named(name: str, work: Callable[[], T]) -> T:
         raise
 
 
-def _cluster_lost(error: Exception) -> bool:
+def _is_cluster_error(error: Exception) -> bool:
     """Whether the part got no answer, as opposed to failing; Dask has classes of its own for that."""
     if isinstance(error, ConnectionError | CancelledError):
         return True

@@ -1,6 +1,6 @@
 """Executors for :mod:`.distribute`: processes of this machine, a Dask cluster, MPI.
 
-Whatever follows :class:`concurrent.futures.Executor` serves as well; these are the ones that the command line opens.
+Any :class:`concurrent.futures.Executor` serves as well; these are the ones that the command line opens.
 """
 
 import asyncio
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing import get_context, parent_process
+from multiprocessing.synchronize import Barrier
 from threading import Thread, current_thread, main_thread
 from typing import Any
 
@@ -32,7 +33,7 @@ GRACE = 2
 
 @contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor | None]:
-    """Yield the executor asked for, or None, and end it afterwards.
+    """Yield the requested executor, or None, and end it afterwards.
 
     Args:
         workers: of a pool of processes.
@@ -57,15 +58,19 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
 
 @contextmanager
 def process_pool(workers: int | None) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes (None: as many as cores); they end with the block, whatever they are doing.
+    """Yield a pool of processes (None: as many as cores); they end with the block, even at work.
 
     They leave Ctrl-C to their parent, and end by themselves when it is killed.
     """
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
+    context, count = get_context("spawn"), workers or os.cpu_count() or 1
+    # None works before all have started: the pool starts one only while no other is idle, and one that it started
+    # later would run the program's script, and hear Ctrl-C.
+    started = context.Barrier(count)
+    pool = ProcessPoolExecutor(count, context, _begin, (started,))
     try:
         # The children inherit the first, from before their first line of Python.
         with deaf_to_interrupt(), script_not_run_again():
-            for _ in range(pool._max_workers):  # type: ignore[attr-defined]  # it says nowhere else how many it has
+            for _ in range(count):
                 pool.submit(os.getpid)
         # Only the workers write results: of one that is killed while it writes, the rest is then not waited for.
         pool._result_queue._writer.close()  # type: ignore[attr-defined]
@@ -95,7 +100,7 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 @contextmanager
 def deaf_to_interrupt() -> Iterator[None]:
-    """Ignore Ctrl-C within the block, and in the processes that are begun there for as long as they live."""
+    """Ignore Ctrl-C within the block, and in the processes that are started there for as long as they live."""
     if current_thread() is not main_thread():  # where signals are not ours to set
         yield
         return
@@ -108,7 +113,7 @@ def deaf_to_interrupt() -> Iterator[None]:
 
 @contextmanager
 def script_not_run_again() -> Iterator[None]:
-    """Let processes that are begun within the block leave the program's own script alone.
+    """Let processes that are started within the block leave the program's own script alone.
 
     Python's spawn runs that script in each worker, so that pickles find what it defines. Without a guard
     (``if __name__ == "__main__":``) a worker then does all of its work, down to the pool, and dies there. Here work is
@@ -126,12 +131,13 @@ def script_not_run_again() -> Iterator[None]:
             setattr(script, name, value)
 
 
-def _begin() -> None:
-    """First thing in a worker."""
+def _begin(started: Barrier) -> None:
+    """First thing in a worker, which then waits until all have started."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
     # A worker that waits for work holds its queue open itself, and would wait for ever after its parent was killed.
     Thread(target=_end_with_parent, daemon=True).start()
+    started.wait()
 
 
 def _end_with_parent() -> None:
@@ -158,7 +164,7 @@ def dask_cluster(address: str) -> Iterator[Executor]:
     try:
         # First by hand: a Client that fails to connect takes long to give up, and complains when it is dropped.
         asyncio.run(greet())
-    except Exception as error:  # whatever a server of another kind may answer
+    except Exception as error:  # a server of another kind may answer anything
         raise InputError(f"{address}: no Dask scheduler answers there: {first_line(error)}") from None
     with Client(address, timeout=PATIENCE, set_as_default=False) as client:
         try:

@@ -1,4 +1,4 @@
-"""How work in progress tells what is done."""
+"""Progress callbacks."""
 
 from collections.abc import Callable
 
@@ -9,5 +9,5 @@ Progress = Callable[[int, int, str], None]
 
 
 def stage(progress: Progress | None, what: str) -> Report | None:
-    """What a stage called ``what`` tells its own progress to; None where nobody listens."""
+    """The progress callback of a stage called ``what``; None without one."""
     return None if progress is None else lambda done, total: progress(done, total, what)

@@ -1,6 +1,6 @@
 """Which guide to filter with, chosen by the evidence of pilot runs.
 
-Ẑ is unbiased whatever the guide, and a guide that misses a part of the posterior leaves it low: of guides, the one
+Ẑ is unbiased for any guide, and a guide that misses a part of the posterior leaves it low: of guides, the one
 with the higher log Ẑ sees more (:mod:`.second_opinion`). The look-ahead is taken where its own filters agree and a
 bootstrap pilot does not contradict it, as in problems with sharp observations, where the bootstrap collapses; for a
 model without a start of its own, only if a pilot of the defended look-ahead (:mod:`.defended`), which gives up no mode,
@@ -10,11 +10,11 @@ confirms it closely. Else the defended look-ahead and the bootstrap filter stand
 
 or the bootstrap, if the look-ahead and the defended one disagree and the bootstrap is within reach: guides of one ψ may
 miss the same mode. If it is not, and its pilot has no standing, no run is usable. A guide has as many particles as
-bring the variance of log Ẑ to ``VARIANCE``, up to ``MORE`` times those of the options: one that sees less of what is to
-come needs more of them. The look-ahead that stands uncontradicted has those of the options.
+bring the variance of log Ẑ to ``VARIANCE``, up to ``MAX_FACTOR`` times those of the options: one that sees less of what
+is to come needs more of them. The look-ahead that stands uncontradicted has those of the options.
 
-A model without a Gaussian look-alike (a discrete or bounded state, no variance), or one that cannot be linearised, has
-the bootstrap guide alone.
+A model without a Gaussian approximation (a discrete or bounded state, no variance), or one that cannot be linearised,
+has the bootstrap guide alone.
 """
 
 import math
@@ -27,9 +27,9 @@ from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.records import flattened, unflattened
-from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
-from invdyn.inference.filters.moment_matching import exact_closed_form, look_alike
+from invdyn.inference.filters.moment_matching import exact_closed_form, moment_matched
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, confirms, evidence, exceeds
@@ -41,7 +41,7 @@ from invdyn.recordings.errors import first_line
 PILOT_FILTERS = 16
 """Filters of a bootstrap pilot. That of a model without a start of its own has as many particles in all as the run."""
 
-HOPELESS = 30.0
+MAX_PILOT_SD = 30.0
 """Standard deviation of log Ẑ over filters, in nats, after which a pilot can come to no agreement."""
 
 VARIANCE = 0.5
@@ -49,19 +49,19 @@ VARIANCE = 0.5
 
 UNCONFIRMED = "guides that look ahead disagree, and no bootstrap pilot is steady enough to decide: use more particles"
 
-CHEAPER = 4
+BOOTSTRAP_FACTOR = 4
 """Times the particles that it may have which a bootstrap may need, to stand for guides that disagree."""
 
-MORE, RUN_PARTICLE_STEPS = 16, 2e7
+MAX_FACTOR, RUN_PARTICLE_STEPS = 16, 2e7
 """Times the particles of the options that a guide may take, and particles × rows of all its filters at most."""
 
 
 class Pilot(ParticleFilter):
-    """Filters that give up where their log-evidences differ by ``HOPELESS``: a collapsed pilot says nothing."""
+    """Filters that give up where their log-evidences differ by ``MAX_PILOT_SD``: a collapsed pilot says nothing."""
 
     def _alive(self, totals: Tensor, first: int, states: Tensor | None = None) -> None:
         super()._alive(totals, first, states)
-        if bool(self.log_evidence.std() > HOPELESS):
+        if bool(self.log_evidence.std() > MAX_PILOT_SD):
             raise SMCFailed(f"the pilot's filters have collapsed by row {first}")
 
 
@@ -126,7 +126,7 @@ class _Pilot:
 
     @property
     def needed(self) -> float:
-        """Particles for a variance of log Ẑ of ``VARIANCE``, which goes down with their number."""
+        """Particles for a variance of log Ẑ of ``VARIANCE``, which falls with their number."""
         return self.num_particles * self.found.filter_sd**2 / VARIANCE
 
 
@@ -143,7 +143,7 @@ def best_guide(
         model: any.
         observations: of it.
         options: sizes of the run that the guide is for.
-        seed: of the pilots; torch's own generator goes on where it was. None takes its state, and moves it.
+        seed: of the pilots; torch's own generator continues where it was. None takes its state, and moves it.
         start: path (T, D) to linearise at first.
     """
     options = options or SMCOptions()
@@ -156,13 +156,13 @@ def best_guide(
     pilot_size = min(options.num_particles, 100)
     try:
         with diverging():
-            like = look_alike(model)
+            like = moment_matched(model)
             smoother, log_evidence = adapted(model, observations, options, start, blind)
             name = "controlled" if exact_closed_form(like, smoother.path) and like is model else "defended"
             if log_evidence is None:
                 pilot_size = options.num_particles
                 log_evidence = run_filters(model, observations, _few(options), smoother=smoother, keep=0).log_evidence
-    # A model of one's own may raise anything where a linearisation leads it: outside of a support, of a domain.
+    # A model of one's own may raise anything at the states of a linearisation: outside of a support, of a domain.
     except (TypeError, ValueError, NotImplementedError, AttributeError, Diverged, SMCFailed) as error:
         few = _affordable(opinion, options, len(observations))
         return Guide("bootstrap", None, few, reason=first_line(error))
@@ -181,7 +181,7 @@ def best_guide(
             ahead = _chosen(rivals + own)
             # Guides of one ψ that disagree tell of modes that ψ may miss: filters then agree on what they all miss.
             if own == [] and opinion is not None:
-                if opinion.needed < CHEAPER * _most(options, len(observations)):
+                if opinion.needed < BOOTSTRAP_FACTOR * _most(options, len(observations)):
                     ahead = opinion
                 elif ahead is not opinion and not opinion.found.standing:
                     doubt = UNCONFIRMED
@@ -197,18 +197,35 @@ def has_own_start(model: StateSpaceModel) -> bool:
     return type(model).initial_paths is not StateSpaceModel.initial_paths
 
 
+BLIND, LOOK_AHEAD = 1, 2
+"""Places of the random numbers of second opinions in those of a run (:func:`.seeds.derived`)."""
+
+
 def second_opinion(
     model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, start: Tensor | None = None
 ) -> Evidence | None:
-    """Evidence of a bootstrap pilot by the random numbers of ``seed``, where a linearisation may end in a wrong mode.
+    """Evidence of a bootstrap pilot of the run of ``seed``, where a linearisation may end in a wrong mode.
 
-    None where the pilot collapses, and where a ``start`` or one of the model's own leads to the posterior.
+    None where the pilot collapses, and where a ``start`` or one of the model's own is near the posterior.
     """
     if start is not None or has_own_start(model):
         return None
-    with seeded(seed, options.device):
+    with seeded(derived(seed, BLIND), options.device):
         pilot, _ = _blind(model, observations, options, keep=0)
     return None if pilot is None else pilot.found
+
+
+def look_ahead_opinion(
+    model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, smoother: GaussianSmoother
+) -> Evidence | None:
+    """Evidence of a few defended filters that a smoother guides, of the run of ``seed``.
+
+    They are weighed by the model's own densities, so that they are unbiased where the smoother's model is not exact.
+    None where they collapse.
+    """
+    with seeded(derived(seed, LOOK_AHEAD), options.device):
+        pilots = _defended(model, observations, options, smoother)
+    return pilots[0].found if pilots else None
 
 
 def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:
@@ -228,7 +245,7 @@ def _affordable(pilot: _Pilot | None, options: SMCOptions, rows: int) -> int:
 def _most(options: SMCOptions, rows: int) -> int:
     """Particles of a filter at most."""
     room = int(RUN_PARTICLE_STEPS / (options.num_filters * rows))
-    return max(options.num_particles, min(MORE * options.num_particles, room))
+    return max(options.num_particles, min(MAX_FACTOR * options.num_particles, room))
 
 
 def _blind(

@@ -35,7 +35,7 @@ from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
 BLOCK = 32
 """Rows: enough that tensors are large, few enough that they stay in the cache."""
-PASSES, NEAR = 6, 0.003
+PASSES, PASS_TOLERANCE = 6, 0.003
 """Passes at most, and the change of |A m| under which they end; A m is what the twist's exponent squares."""
 
 
@@ -147,7 +147,7 @@ class BlockFilter:
                 return m, states, before
             moved = gaussian_mean(self.model.transition(before, numbers[:some] + 1)) - self._path[:, ahead]
             off = moved[..., : len(numbers) - 1, :] - m[..., 1:, :]
-            if not _apply(self._A[:, rows.start + 1 : rows.stop], off).abs().gt(NEAR).any():
+            if not _apply(self._A[:, rows.start + 1 : rows.stop], off).abs().gt(PASS_TOLERANCE).any():
                 break
             bent = moved - _apply(self._F[:, followed], states[..., :some, :])
         return m, states, moved

@@ -31,7 +31,7 @@ class Bridge:
 
     def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, block: int):
         self.model, self.observations, self.block = model, observations, block
-        self.path = smoother.path.to(model.dtype)
+        self.path = smoother.path.to(observations.dtype)  # that of the draws: constants of a model keep theirs
         linear = smoother.linearisation
         steps, dim = self.path.shape
         self.starts = steps - block - 1  # t = 0 … starts − 1 have all of t+1 … t+ℓ+1

@@ -9,7 +9,7 @@ entries are taken apart and put together at no cost, and arithmetic on (M, N) is
     entries moved before the batch, and back                         noted, and nothing done
     elementwise operations                                           entry by entry
     sums over the event, matrices times it                           sums of entries
-    whatever else                                                    of the tensor, put together again
+    anything else                                                    of the tensor, put together again
 
 Entries of what a row leaves are stored one after the other, in memory (D, M, N), and seen as (M, N, D) as ever.
 """
@@ -33,7 +33,7 @@ from invdyn.models.shapes import by_column
 
 aten = torch.ops.aten
 
-LARGEST = 256
+MAX_PRODUCT = 256
 """Entries of a matrix beyond which a product is left to a library: written out it would take long to compile."""
 
 
@@ -122,7 +122,7 @@ class _Columns:
 
 
 @dataclass
-class _Turned:
+class _Permuted:
     """Columns seen with their dimensions in the order ``dims``: the half-way mark where a model lays entries out."""
 
     columns: _Columns
@@ -151,8 +151,8 @@ class _ByColumns(Interpreter):
         if target is operator.getitem:  # of a list that an operation has returned
             return super().call_function(target, args, kwargs)
         if target not in (aten.permute.default, aten.clone.default):
-            args, kwargs = tree_map(lambda value: _whole(value, _Turned), (args, kwargs))
-        columns = any(isinstance(value, _Columns | _Turned) for value in tree_leaves((args, kwargs)))
+            args, kwargs = tree_map(lambda value: _whole(value, _Permuted), (args, kwargs))
+        columns = any(isinstance(value, _Columns | _Permuted) for value in tree_leaves((args, kwargs)))
         rule = _RULES.get(target) if columns or target is aten.stack.default else None
         if columns and rule is None and torch.Tag.pointwise in getattr(target, "tags", ()):
             rule = partial(_each, target)
@@ -170,7 +170,7 @@ class _ByColumns(Interpreter):
         return _Columns.of(value, value.ndim - 2) if fits else value
 
 
-def _whole(value: Any, kind: Any = _Columns | _Turned) -> Any:
+def _whole(value: Any, kind: Any = _Columns | _Permuted) -> Any:
     """Columns of this ``kind`` as a tensor; what is none as it is."""
     return value.whole() if isinstance(value, kind) else value
 
@@ -230,17 +230,17 @@ def _stack(values: Sequence[Any], dim: int = 0) -> Any:
     if any(value.entries.shape != first.entries.shape for value in values):
         return NotImplemented
     if dim == 0 and not first.entries.ndim:  # on the way to entries one after the other in memory
-        return _Turned(first.with_event(np.stack([value.entries for value in values])), (batch, *range(batch)))
+        return _Permuted(first.with_event(np.stack([value.entries for value in values])), (batch, *range(batch)))
     return NotImplemented if axis < 0 else first.with_event(np.stack([value.entries for value in values], axis))
 
 
-def _permute(value: _Columns | _Turned, dims: Sequence[int]) -> Any:
-    if isinstance(value, _Turned):
+def _permute(value: _Columns | _Permuted, dims: Sequence[int]) -> Any:
+    if isinstance(value, _Permuted):
         dims, value = [value.dims[dim] for dim in dims], value.columns
     batch = len(value.batch)
     dims = tuple(dim % (batch + value.entries.ndim) for dim in dims)
     if dims[:batch] != tuple(range(batch)):
-        return _Turned(value, dims)
+        return _Permuted(value, dims)
     return value.with_event(value.entries.transpose([dim - batch for dim in dims[batch:]]))
 
 
@@ -313,11 +313,11 @@ def _matmul(value: Any, matrix: Any) -> Any:
     """(B, N, D) times (B, D, P), or (N, D) times (D, P)."""
     if not isinstance(value, _Columns) or isinstance(matrix, _Columns) or value.entries.ndim != 1:
         return NotImplemented
-    if not 0 < math.prod(matrix.shape[-2:]) <= LARGEST:
+    if not 0 < math.prod(matrix.shape[-2:]) <= MAX_PRODUCT:
         return NotImplemented
     columns = _Columns.of(matrix, 2)
     entries = columns.entries
-    if columns.batch:  # beside (B, N)
+    if columns.batch:  # next to (B, N)
         entries = _Columns.made(
             entries.shape, lambda index: columns.entries[index].unsqueeze(-1), columns.batch
         ).entries
@@ -331,7 +331,7 @@ def _randn_like(value: _Columns, **kwargs: Any) -> Any:
     return _Columns.of(noise, value.entries.ndim)
 
 
-def _same(value: _Columns | _Turned, **kwargs: Any) -> Any:
+def _same(value: _Columns | _Permuted, **kwargs: Any) -> Any:
     return value
 
 

@@ -1,6 +1,6 @@
 """A filter's row as one compiled graph, by ``torch.compile``'s own compiler, inductor.
 
-The row runs once under a tracer that records its tensor operations, whatever Python they came from (the model's
+The row runs once under a tracer that records its tensor operations, from any Python code (the model's
 classes, cached files, Pyro's distributions). The record is rewritten column by column (:mod:`.column_layout`), and the
 compiler gets that. No Python is left for ``torch.compile`` to read, or to guard in each row, which would take a tenth
 of a row's time at a thousand particles. The number of the row comes in as a tensor: an int would be frozen into the

@@ -9,7 +9,7 @@ p(y_{t:T} | x_t = x) from the Gauss–Newton smoother,
     log weight   = log g(y_t | x_t) + log ψ̃_t(x_t) − log ψ_t(x_t)
 
 so a particle at row t already bends towards everything that is still to be seen. The evidence is
-unbiased whatever ψ is; ψ only sets the variance.
+unbiased for any ψ; ψ only sets the variance.
 
 Everything is relative to the smoother's path, which keeps float32 particles accurate where
 observations are sharp.

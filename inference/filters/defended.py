@@ -13,7 +13,7 @@ and ψ_t gets a floor κ, so that no future is given up for what ψ believes of 
     log ψ̃_{t−1}(x_{t−1}) = log (I_t(x_{t−1}) + κ).
 
 That is a mixture in which a particle follows ψ with probability I/(I + κ) and the prior otherwise: one that ψ thinks
-impossible goes on as in the bootstrap filter, and keeps a weight in the resampling. ψ is scaled so that I is at most
+impossible moves as in the bootstrap filter, and keeps a weight in the resampling. ψ is scaled so that I is at most
 about one, and κ = α/(1 − α) e^{−D/2}, so that a particle as far from ψ's peak as the posterior's own scatter draws from
 the prior with probability α = 10 %. Weights p/q ≤ (I + κ)/κ are bounded even where tails of N(f, Q) are too light;
 N(f, Q) has the mean and covariance of dynamics that need not be Gaussian, and the weight is by their true density.
@@ -35,9 +35,6 @@ from invdyn.inference.filters.proposal import Particles, Proposal, draw
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
-SHARE = 0.1
-"""α: share of the prior in the proposal of a particle as far from ψ's peak as the posterior scatters."""
-
 
 class Defended(Controlled):
     """Guide twisted by a smoother's factors over a floor; any dynamics with a density, a mean and a covariance.
@@ -45,13 +42,14 @@ class Defended(Controlled):
     Args:
         model: its transition's covariance may depend on the state, and need not be Gaussian.
         observations: (T, O), NaN where missing.
-        smoother: of the model or of its look-alike (:func:`.moment_matching.look_alike`).
-        share: α in [0, 1); 0 trusts ψ.
+        smoother: of the model or of its approximation (:func:`.moment_matching.moment_matched`).
+        share: α in [0, 1), of the prior in the proposal of a particle as far from ψ's peak as the posterior scatters;
+            0 trusts ψ.
     """
 
     one_gain = False
 
-    def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, share: float = SHARE):
+    def __init__(self, model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, share: float = 0.1):
         super().__init__(model, observations, smoother)
         if not 0 <= share < 1:
             raise ValueError(f"expected a defensive share in [0, 1), got {share}")

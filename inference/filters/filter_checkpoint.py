@@ -1,4 +1,4 @@
-"""What a particle filter leaves in a checkpoint, so that it goes on to the same answer, to the bit."""
+"""What a particle filter leaves in a checkpoint, so that it continues to the same answer, to the bit."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from invdyn.inference.filters.proposal import Particles
 from invdyn.recordings import InputError
 
 Kept = tuple[int, Particles, dict[str, Tensor]]
-"""Rows done, particles of the last, and whatever else was saved by name."""
+"""Rows done, particles of the last, and all else that was saved by name."""
 
 
 def save(

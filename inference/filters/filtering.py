@@ -18,7 +18,7 @@ from invdyn.inference.filters.backward_simulation import backward_simulation, ge
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.defended import Defended, look_ahead
 from invdyn.inference.filters.iterated import iterate
-from invdyn.inference.filters.moment_matching import look_alike
+from invdyn.inference.filters.moment_matching import moment_matched
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.proposal import Proposal
@@ -102,12 +102,12 @@ def adapted(
 
     The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
     guides the steadier filters. A bootstrap run ``blind`` that kept all rows gives a second path to begin at, its
-    likeliest, and points to refit on: where log p(x, y) has many modes a search from afar ends in any. Dynamics that
-    are not Gaussian are taken for their look-alike (:mod:`.moment_matching`) but in the pilots' weights. Random numbers
-    are torch's own (global seed).
+    most probable, and points to refit on: where log p(x, y) has many modes a search from afar ends in any.
+    Dynamics that are not Gaussian are taken for their approximation (:mod:`.moment_matching`) but in the pilots'
+    weights. Random numbers are torch's own (global seed).
     """
-    gaussian = look_alike(model)
-    starts = [start] if blind is None else [start, likeliest_line(model, observations, blind)]
+    gaussian = moment_matched(model)
+    starts = [start] if blind is None else [start, most_probable_line(model, observations, blind)]
     smoothers = [each for begin in starts for each in _linearised(gaussian, observations, begin)]
     if options.refits == 0 or options.num_filters == 1:
         return max(smoothers[1::2], key=lambda each: float(each.log_joint)), None
@@ -132,7 +132,7 @@ def _linearised(
 
 
 @torch.no_grad()
-def likeliest_line(model: StateSpaceModel, observations: torch.Tensor, result: FilterResult) -> torch.Tensor:
+def most_probable_line(model: StateSpaceModel, observations: torch.Tensor, result: FilterResult) -> torch.Tensor:
     """Of a few ancestral lines (T, D) of each filter that with the highest log p(x, y)."""
     lines = genealogy(result, 4).flatten(0, 1).cpu().double()
     joint = model.to(dtype=torch.float64, device="cpu").log_joint(lines, observations.cpu().double())

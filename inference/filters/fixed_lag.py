@@ -6,8 +6,8 @@ Each particle carries its last L states, which are resampled along with it, and
 
     E[φ(x_{t−L}) | y_{0:t+1}] ≈ Σ_i W_t^i φ(x_{t−L}^i),     x_{t−L}^i the ancestor of particle i,
 
-stands in for E[φ(x_{t−L}) | y]. What later rows would change is lost: a bias that falls geometrically with L where the
-model forgets its past. The genealogy of L rows has hardly degenerated, so that the variance does not grow with T.
+stands in for E[φ(x_{t−L}) | y]. What later rows would change is missing: a bias that falls geometrically with L where
+the model forgets its past. The genealogy of L rows has hardly degenerated, so that the variance does not grow with T.
 
 Shapes: M filters, N particles.
 """

@@ -21,7 +21,7 @@ found counts by its posterior mass. For a linear-Gaussian model V_t = log ψ_t, 
 The evidence stays unbiased: the factors come from pilot runs, and the filters that use them
 afterwards draw fresh random numbers.
 
-Shapes: T rows, D states, n points; numpy float64 whatever the filters' type.
+Shapes: T rows, D states, n points; numpy float64 for any type of the filters.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ EXACT = 1e-6  # nats: a smaller correction is rounding
 
 
 STEADY = 0.05
-"""Spread of log Ẑ, in nats, that no refit need improve: the outer sampler then has 99.8 % of its filters."""
+"""Standard deviation of log Ẑ, nats, that no refit need improve: the outer sampler then has 99.8 % of its filters."""
 
 
 def iterate(
@@ -89,8 +89,8 @@ def iterate(
             failure = error
     if not runs:
         raise failure
-    start, first = min(_not_lower(runs), key=lambda run: _spread(run[1]))
-    if _spread(first) < STEADY:
+    start, first = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
+    if _filter_sd(first) < STEADY:
         return start, first.log_evidence
     results = [*results, *(result for _, result in runs)]
     latest = start
@@ -102,8 +102,8 @@ def iterate(
             results.append(pilot(latest))
         except (SMCFailed, FloatingPointError, Singular):
             return start, first.log_evidence
-    # Not the smallest spread of all refits: a run that has missed a region looks the steadiest.
-    if _spread(results[-1]) <= _spread(first) and not exceeds(_found(first), _found(results[-1])):
+    # Not the smallest sd of all refits: a run that has missed a region looks the steadiest.
+    if _filter_sd(results[-1]) <= _filter_sd(first) and not exceeds(_found(first), _found(results[-1])):
         return latest, results[-1].log_evidence
     return start, first.log_evidence
 
@@ -121,7 +121,7 @@ def _found(result: FilterResult) -> Evidence:
     return evidence(result.log_evidence, "controlled")
 
 
-def _spread(result: FilterResult) -> float:
+def _filter_sd(result: FilterResult) -> float:
     return outer_weights(result.log_evidence).filter_sd
 
 
@@ -183,7 +183,7 @@ def _corrected(
     count, dim = x.shape
     mean = x.mean(0)
     deviation = x - mean
-    # A sliver of each coordinate's own spread keeps S regular when points lie in a plane.
+    # A small share of each coordinate's own sd keeps S regular when points lie in a plane.
     sliver = 1e-6 * np.diag(np.maximum(deviation.std(0), 1e-12))
     S = np.asarray(np.linalg.qr(np.concatenate([deviation / np.sqrt(count), sliver]), mode="r")).T
     z = np.linalg.solve(S, deviation.T).T

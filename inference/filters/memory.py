@@ -1,4 +1,4 @@
-"""The memory that filters would take, said before it is asked for.
+"""The memory that filters would take, checked before it is allocated.
 
 What a run holds at once is bounded from below, so that nothing is refused that fits: of M filters in tasks of m, with N
 particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
@@ -43,7 +43,7 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
 
 
 def total_memory() -> float:
-    """Bytes that this process may have, of the machine or of its control group; infinite where nobody tells."""
+    """Bytes that this process may have, of the machine or of its control group; infinite where it is not known."""
     try:
         found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):

@@ -1,8 +1,8 @@
-"""A Gaussian look-alike of a model's dynamics, for guides that compute with Gaussians.
+"""A Gaussian approximation of a model's dynamics, for guides that compute with Gaussians.
 
 A guide needs no more than a mean and a covariance of x_t given x_{t−1}: the filter weighs by the true density, so that
-the evidence is unbiased whatever the guide takes the dynamics for. Gaussian dynamics are their own look-alike; others
-with a mean and a finite covariance on the whole real line (Student-t, Laplace, mixtures) are matched in both.
+the evidence is unbiased for any approximation of the dynamics by the guide. Gaussian dynamics are their own;
+others with a mean and a finite covariance on the whole real line (Student-t, Laplace, mixtures) are matched in both.
 
 Shapes: states (…, D).
 """
@@ -44,7 +44,7 @@ class MomentMatched(StateSpaceModel):
         return self.model.emission(state, t)
 
     def replace(self, **values: Tensor) -> "MomentMatched":
-        """Return the look-alike of the model with other parameter values."""
+        """Return the approximation of the model with other parameter values."""
         return MomentMatched(self.model.replace(**values))
 
 
@@ -64,7 +64,11 @@ def matched(distribution: Distribution) -> Distribution:
             if full is not None:
                 return MultivariateNormal(mean, covariance_matrix=full, validate_args=False)
             return Normal(mean, distribution.variance.sqrt(), validate_args=False).to_event(1)
-    raise TypeError(NOT_MATCHED.format(distribution))
+    raise TypeError(NOT_MATCHED.format(_kind(distribution)))
+
+
+def _kind(distribution: Distribution) -> str:
+    return type(getattr(distribution, "base_dist", distribution)).__name__
 
 
 def has_gaussian_moments(distribution: Distribution) -> bool:
@@ -76,7 +80,7 @@ def has_gaussian_moments(distribution: Distribution) -> bool:
     return True
 
 
-def look_alike(model: StateSpaceModel) -> StateSpaceModel:
+def moment_matched(model: StateSpaceModel) -> StateSpaceModel:
     """The model itself if its dynamics are Gaussian, else :class:`MomentMatched`; raises TypeError as :func:`matched`.
 
     Dynamics are tried at draws of the first state.
@@ -90,7 +94,7 @@ def look_alike(model: StateSpaceModel) -> StateSpaceModel:
         for each in (first, later):
             mean, root = gaussian_moments(matched(each))
             if not bool(torch.isfinite(mean).all() and torch.isfinite(root).all()):
-                raise TypeError(NOT_MATCHED.format(each))
+                raise TypeError(NOT_MATCHED.format(_kind(each)))
     return MomentMatched(model)
 
 

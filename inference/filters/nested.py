@@ -8,7 +8,7 @@ trajectories by
 
 An outer ESS near M says that every filter found the same posterior; one near 1 that a single
 lucky filter carries all of it. Then its error cannot be estimated either: Ẑ_m/mean is M for one and 0 for
-all others whatever they are, whose "standard error" is 1.
+all others of any value, whose "standard error" is 1.
 """
 
 import math
@@ -51,5 +51,5 @@ def outer_weights(log_evidence: Tensor) -> OuterWeights:
     # Two filters that nearly agree have an ESS just under two, and an error all the same.
     known = count > 1 and (effective >= 2 or effective > 0.75 * count)
     error = relative.std().item() / math.sqrt(count) if known else math.nan
-    spread = log_evidence.std().item() if count > 1 else math.nan
-    return OuterWeights(log_weights, effective, total.item() - math.log(count), error, spread)
+    filter_sd = log_evidence.std().item() if count > 1 else math.nan
+    return OuterWeights(log_weights, effective, total.item() - math.log(count), error, filter_sd)

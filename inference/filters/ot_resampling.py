@@ -7,7 +7,7 @@ the same particles weighted equally, with C_ij = ½ mean_k ((x_ik − x_jk)/s_k)
     P = argmin Σ_ij P_ij C_ij + ε KL(P | W ⊗ 1/N),   Σ_j P_ij = W_i,   Σ_i P_ij = 1/N
     x̃_j = x̄ + N Σ_i P_ij (x_i − x̄),   x̄ = Σ_i W_i x_i
 
-by Sinkhorn's alternating potentials in logarithms. The mean stays what it was, to rounding; the particles' spread
+by Sinkhorn's alternating potentials in logarithms. The mean stays what it was, to rounding; the particles' scatter
 shrinks with ε and higher moments change, so that a filter's evidence is biased, by O(1/√N) even for ε → 0. Cost: N²
 numbers and operations per iteration.
 
@@ -20,11 +20,8 @@ import math
 import torch
 from torch import Tensor
 
-ITERATIONS = 50
-DIFFERENTIATED = 5
 
-
-def transport(x: Tensor, log_weights: Tensor, regularisation: float = 0.5, iterations: int = ITERATIONS) -> Tensor:
+def transport(x: Tensor, log_weights: Tensor, regularisation: float = 0.5, iterations: int = 50) -> Tensor:
     """Moved particles (M, N, D), of the type of x (M, N, D), for normalised log-weights (M, N), float64.
 
     Raises ValueError unless ``regularisation``, ε, is positive and ``iterations`` at least 1.
@@ -48,7 +45,7 @@ def transport(x: Tensor, log_weights: Tensor, regularisation: float = 0.5, itera
     return (mean + x.shape[-2] * plan.mT @ deviation).to(x.dtype)
 
 
-def _plan(cost: Tensor, log_weights: Tensor, iterations: int) -> Tensor:
+def _plan(cost: Tensor, log_weights: Tensor, iterations: int, differentiated: int = 5) -> Tensor:
     """P (M, N, N) for ``cost`` C/ε; its rows i sum to W_i exactly, its columns to 1/N as far as it has converged."""
     uniform = -math.log(cost.shape[-1])
 
@@ -60,6 +57,6 @@ def _plan(cost: Tensor, log_weights: Tensor, iterations: int) -> Tensor:
         f = torch.zeros_like(log_weights)
         for _ in range(iterations):
             f, _ = pair(f, cost.detach(), log_weights.detach())
-    for _ in range(DIFFERENTIATED):
+    for _ in range(differentiated):
         f, g = pair(f, cost, log_weights)
     return (f.unsqueeze(-1) + g.unsqueeze(-2) - cost + log_weights.unsqueeze(-1) + uniform).exp()

@@ -122,7 +122,7 @@ def _estimates(
         else:
             with stream.drawing():
                 ancestors = _exact(model, row, draws) if exact else _moved(model, row, draws)
-            # One backward draw after another: (M, N, …) at a time, whatever h's own dimensions.
+            # One backward draw after another: (M, N, …) at a time, for any dimensions of h.
             terms = [_term(additive, row, row.previous.states, carried, index) for index in ancestors]
             carried = torch.stack(terms).mean(0)
         yield OnlineEstimate(row.t, row.mean(carried), row.log_evidence, row.ess)

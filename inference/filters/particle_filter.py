@@ -7,7 +7,7 @@ fits what is yet to come, and the filter then targets p(x_{0:t} | y_{0:t}) ψ̃_
     log w_t = log W_{t−1} + log p(x_t | x_{t−1}) / q(x_t) + log g(y_t | x_t) + log ψ̃_t(x_t) − log ψ̃_{t−1}(x_{t−1})
     log Ẑ  += log Σ_n w_t^n ,   W_t = w_t / Σ w_t ,   resample when 1/Σ W² < threshold · N
 
-ψ̃_T = 1, so the evidence is unbiased, E[Ẑ] = Z, whatever the guide and whenever it resamples.
+ψ̃_T = 1, so the evidence is unbiased, E[Ẑ] = Z, for any guide and any times of resampling.
 
 Two ways in, one set of weights:
 
@@ -47,10 +47,10 @@ PATIENCE = 1000
 """Rows after which a filter that must not wait for its device looks whether it is still alive."""
 
 CARRIED = ("log_weights", "log_evidence", "ancestors")
-"""What a checkpoint holds beside particles and history."""
+"""What a checkpoint holds in addition to particles and history."""
 
 _TWIST = object()
-"""Key beside those of Pyro's state, of which none can be the same."""
+"""Key next to those of Pyro's state, of which none can be the same."""
 
 
 class Row(NamedTuple):
@@ -107,7 +107,7 @@ class ParticleFilter(SMCFilter):
         self._restart()
 
     def _restart(self, device: torch.device | str = "cpu") -> None:
-        # float64 for weights and evidence, whatever the states' type.
+        # float64 for weights and evidence, for any type of the states.
         uniform = -math.log(self.num_particles)
         self._log_weights = torch.full(self.batch, uniform, dtype=torch.float64, device=device)
         self.log_evidence = self._log_weights.new_zeros(self.batch[:-1])
@@ -317,7 +317,7 @@ class ParticleFilter(SMCFilter):
 
         Where the ``states`` (…, N, D) there are no numbers the simulation is at fault, and the message says so.
         """
-        # The sum is finite if all of them are, and one question is asked instead of many.
+        # The sum is finite if all of them are, and one check replaces many.
         if not math.isfinite(totals.sum().item()):
             rows = ~torch.isfinite(totals).reshape(len(totals), -1)
             row = int(rows.any(-1).int().argmax())

@@ -47,11 +47,11 @@ class FilterResult:
 def joined(results: Sequence[FilterResult]) -> FilterResult:
     """All filters of several runs over the same rows, as of one."""
 
-    def beside(name: str) -> Any:
+    def combined(name: str) -> Any:
         values = [getattr(result, name) for result in results]
         return None if values[0] is None else torch.cat(values, 0 if name == "log_evidence" else 1)
 
-    return FilterResult(**{field.name: beside(field.name) for field in fields(FilterResult)})
+    return FilterResult(**{field.name: combined(field.name) for field in fields(FilterResult)})
 
 
 class History:

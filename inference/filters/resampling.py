@@ -9,7 +9,7 @@ is unbiased, E[#{n : a_n = i}] = N W_i; they differ in the variance of these cou
     residual      ⌊N W_i⌋ copies for certain, the rest by systematic draws of the remainder
 
 Shapes: log-weights (M, N), of each filter, not necessarily normalised → ancestors (M, N), int64,
-sorted. Cumulative sums are in float64 whatever the weights' type, and ancestors are clamped to
+sorted. Cumulative sums are in float64 for any type of the weights, and ancestors are clamped to
 N − 1, so that rounding never makes an index that does not exist.
 """
 
@@ -56,7 +56,7 @@ def systematic(weights: Tensor) -> Tensor:
     cumulative = weights.cumsum(-1)
     total = cumulative[..., -1:]
     below = (cumulative * (size / total) - _uniform(weights, 1)).ceil()
-    # Trailing particles of weight zero lie above all of them, whatever the rounding; so does the last one before
+    # Trailing particles of weight zero lie above all of them under any rounding; so does the last one before
     # them, and no ancestor can come to N.
     below = torch.where(cumulative < total, below.clamp(max=size), size).long()
     counts = torch.zeros(*weights.shape[:-1], size + 1, dtype=torch.int64, device=weights.device)

@@ -12,7 +12,7 @@ problems with sharp observations, says nothing.
 
 The outer ESS itself is estimated from these filters, and looks well where none of them has reached the tail that the
 mean lives on. If log Ẑ is normal with variance s², as it is of many particles, the ESS is M e^{−s²}: so s, which needs
-no tail, has to agree. It is the rms above the median, which a few filters that lost the observations do not move.
+no tail, has to agree. It is the rms above the median, which a few filters far from the observations do not move.
 
 The standard error of log Ẑ from M filters is sd(Ẑ)/(√M mean Ẑ). With an outer ESS under two one filter carries more
 than half of the estimate, and no error can be had from it: it is NaN.
@@ -31,7 +31,7 @@ MIN_SHARE, MIN_FILTERS = 0.25, 4.0
 """Outer ESS under which an evidence is not stated, as a share of the filters: where log Ẑ is normal with an sd of 1.2,
 up to which its standard error holds. And filters that it takes at least, if there are twice as many."""
 
-ENOUGH = 16
+MIN_FILTERS_FOR_SD = 16
 """Filters whose standard deviation tells something."""
 
 LEVEL = 0.01
@@ -40,8 +40,8 @@ LEVEL = 0.01
 ERRORS, SLACK = 3.0, 1.0
 """Standard errors by which estimates may differ; and nats more for a lower one, as unbiased estimates are skewed."""
 
-CLOSE = 0.15
-"""Nats: an error under which no mode of two goes unseen, whose loss is log 2."""
+CLOSE_ERROR = 0.15
+"""Nats: an error under which no mode of two goes unseen, that would cost log 2."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +90,22 @@ def evidence(log_evidence: Tensor | OuterWeights, guide: str, pilot: Evidence | 
     return replace(found, usable=not reason, reason=reason, contradicted=contradicted)
 
 
-def scatter_doubt(found: Evidence) -> str:
-    """Why the scatter of the filters themselves forbids the estimate; "" if it does not."""
+def scatter_doubt(found: Evidence, unit: str = "filter") -> str:
+    """Why the scatter of the filters, or independent runs, themselves forbids the estimate; "" if it does not."""
     floor = max(MIN_SHARE * found.filters, min(MIN_FILTERS, found.filters / 2), 1.5)
     if not math.isfinite(found.log_evidence):
-        return "the filters lost all their weight"
+        return f"all weights of the {unit}s are zero"
     if found.filters == 1:
-        return "one filter gives no standard error: use at least two"
+        return f"one {unit} gives no standard error: use at least two"
     if found.outer_ess < floor:
         return (
-            f"outer effective sample size {found.outer_ess:.1f} of {found.filters} filters is under {floor:g}: "
+            f"outer effective sample size {found.outer_ess:.1f} of {found.filters} {unit}s is under {floor:g}: "
             "use more particles"
         )
     widest = math.sqrt(-math.log(MIN_SHARE))
-    if found.filters >= ENOUGH and found.filter_sd > widest:
+    if found.filters >= MIN_FILTERS_FOR_SD and found.filter_sd > widest:
         return (
-            f"the filters' log-evidences have a standard deviation of {found.filter_sd:.1f}, over {widest:.1f}, up to "
+            f"the {unit}s' log-evidences have a standard deviation of {found.filter_sd:.1f}, over {widest:.1f}, up to "
             "which an error can be stated: use more particles"
         )
     return ""
@@ -123,9 +123,11 @@ def exceeds(other: Evidence, found: Evidence) -> bool:
 
 
 def confirms(other: Evidence, found: Evidence) -> bool:
-    """Whether ``other`` has a standing, and equals ``found`` within errors that are below ``CLOSE``."""
+    """Whether ``other`` has a standing, and equals ``found`` within errors that are below ``CLOSE_ERROR``."""
     error = _joint_sd(found, other)
-    return other.standing and error < CLOSE and abs(other.log_evidence - found.log_evidence) <= ERRORS * error + 1e-3
+    return (
+        other.standing and error < CLOSE_ERROR and abs(other.log_evidence - found.log_evidence) <= ERRORS * error + 1e-3
+    )
 
 
 def contradiction(found: Evidence, pilot: Evidence) -> str:
@@ -149,10 +151,24 @@ def approximation_doubt(log_evidence: float, pilot: Evidence | None) -> str:
         return ""
     found = Evidence(log_evidence, 0.0, math.nan, 0, True, "", "linearised")
     error = ERRORS * _joint_sd(found, pilot) + SLACK
-    apart = pilot.standing and abs(log_evidence - pilot.log_evidence) > error
+    apart = (pilot.standing or pilot.usable) and abs(log_evidence - pilot.log_evidence) > error
     if not apart and not exceeds(pilot, replace(found, log_evidence=log_evidence + SLACK)):
         return ""
-    return f"the linearised model has log evidence {log_evidence:.1f}, a bootstrap filter {pilot}: use smc"
+    return f"the linearised model has log evidence {log_evidence:.1f}, a {pilot.guide} filter {pilot}: use smc"
+
+
+def linearisation_doubt(log_evidence: float, bootstrap: Evidence | None, ahead: Evidence | None) -> str:
+    """Why the evidence of a linearised model may not be used; "" if it may.
+
+    Two pilots give a second opinion: ``bootstrap`` filters, which see any mode, and filters that the linearised model
+    guides, ``ahead``, whose error is small where it is a good one. These have to confirm it.
+    """
+    if doubt := approximation_doubt(log_evidence, bootstrap):
+        return doubt
+    if ahead is None or not ahead.usable:
+        why = "they collapse" if ahead is None else ahead.reason.partition(":")[0]
+        return f"filters that the linearised model guides do not confirm it ({why}): use smc"
+    return approximation_doubt(log_evidence, ahead)
 
 
 def bound_doubt(bound: float, states: int, pilot: Evidence | None) -> str:

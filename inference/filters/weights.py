@@ -1,9 +1,9 @@
-"""The arithmetic of particle weights, as functions without side effects: of the filter and of its bound alike.
+"""The arithmetic of particle weights, as functions without side effects: of the filter and of its bound.
 
     log w = log W + increment,   total = log Σ_n w^n,   log W' = log w − total,   ESS = (Σ w)² / Σ w²
 
 Shapes: N particles in the last dimension, any number of filters before it. Weights and totals are in float64
-whatever the states' type. Nothing here asks the device for a value, so that a row costs no wait.
+for any type of the states. Nothing here reads a value from the device, so that a row costs no wait.
 """
 
 import torch

@@ -6,17 +6,16 @@ from torch import Tensor
 
 from invdyn.inference.fitting.marginal_likelihood import LogParameters
 
-WIDE = 0.25
-"""Share of the prior's variance above which a direction counts as not identified: the data halve its sd at best."""
 
-
-def unidentified(parameters: LogParameters, phi: Tensor, log_weights: Tensor) -> list[dict]:
+def unidentified(parameters: LogParameters, phi: Tensor, log_weights: Tensor, min_share: float = 0.25) -> list[dict]:
     """Directions of φ in which the posterior is nearly as wide as the prior, widest first.
 
     Args:
         parameters: the free ones, P of them.
         phi: (M, P) draws.
         log_weights: (M,).
+        min_share: share of the prior's variance above which a direction counts as not identified: by default, the
+            data halve its sd at best.
 
     Each is {"direction": exponents by label, the largest one 1, "relation": such as
     "body.mass[0] ∝ torque.scale[0]", "variance_share": posterior over prior variance}: moving along it multiplies
@@ -28,7 +27,7 @@ def unidentified(parameters: LogParameters, phi: Tensor, log_weights: Tensor) ->
     shares, axes = np.linalg.eigh((whitened.mT @ (weights.unsqueeze(-1) * whitened)).numpy())
     found = []
     for share, axis in zip(shares[::-1], axes.T[::-1], strict=True):
-        if share < WIDE:
+        if share < min_share:
             continue
         powers = axis * parameters.sd
         powers = powers / powers[np.abs(powers).argmax()]

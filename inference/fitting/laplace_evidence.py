@@ -1,6 +1,6 @@
 """Parameters by Laplace's evidence, whose derivatives know that the mode moves.
 
-    log p(y | φ) ≈ log p(y, x̂ | φ) + ½ log det(2π P(φ)),    x̂(φ) the likeliest path, P the Gaussian's around it
+    log p(y | φ) ≈ log p(y, x̂ | φ) + ½ log det(2π P(φ)),    x̂(φ) the most probable path, P the Gaussian's around it
 
 (Tierney and Kadane, JASA 81, 1986). It is maximised with log p(φ) by BFGS in a trust region.
 :func:`.marginal_likelihood.fit` shares one linearisation among all parameter sets, and is many times as fast where that
@@ -24,14 +24,14 @@ from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameter
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.divergence import Diverged, diverging
 
-STEP, APART = 0.03, 0.05
-"""Of φ, for slopes and for curvatures: noise and lengths are told to some per cent at best."""
+STEP, CURVATURE_STEP = 0.03, 0.05
+"""Of φ, for slopes and for curvatures: noise and lengths are known to some per cent at best."""
 TOLERANCE = 1e-3
 """Nats that a mode's last step gains: differences are of some tenths."""
-LOST = 100.0
-"""Nats less within `APART` that no curvature explains."""
-BENDS, RADIUS, ENOUGH = 300.0, 0.15, 0.01
-"""Curvature that the search begins with, of what is told to 6 %, how far a step may go, and nats that end it."""
+MAX_LOSS = 100.0
+"""Nats less within `CURVATURE_STEP` that no curvature explains."""
+FIRST_CURVATURE, RADIUS, MIN_GAIN = 300.0, 0.15, 0.01
+"""Curvature that the search begins with, of what is known to 6 %, how far a step may go, and nats that end it."""
 
 
 def fit_at_mode(
@@ -69,16 +69,16 @@ def fit_at_mode(
 
 
 def _descend(search: "_Search", most: int) -> tuple[np.ndarray, float, np.ndarray, bool]:
-    """Where BFGS ends, the value there, its Hessian, and whether a whole step gains no more than `ENOUGH`.
+    """Where BFGS ends, the value there, its Hessian, and whether a whole step gains no more than `MIN_GAIN`.
 
     No step is longer than `RADIUS`: beyond, the path is another, and its mode is not found from this one.
     """
-    phi, hessian = np.zeros(len(search.sd)), BFGS(init_scale=BENDS)
+    phi, hessian = np.zeros(len(search.sd)), BFGS(init_scale=FIRST_CURVATURE)
     hessian.initialize(len(phi), "hess")
     value, slope = search.value(phi), search.gradient(phi)
     for _ in range(most):
         whole = -np.linalg.solve(hessian.get_matrix(), slope)
-        if -0.5 * slope @ whole < ENOUGH:
+        if -0.5 * slope @ whole < MIN_GAIN:
             return phi, value, hessian.get_matrix(), True
         step = whole * min(1.0, RADIUS / np.abs(whole).max())
         while (reached := search.value(phi + step)) > value and np.abs(step).max() > RADIUS / 100:
@@ -96,7 +96,8 @@ class _Search(Generic[M]):
 
     Attributes:
         sd: (P,) of the prior.
-        phi, path, slope: where the last gradient was taken, (P,), the likeliest path there (T, D), and its (P, T, D).
+        phi, path, slope: where the last gradient was taken, (P,), the most probable path there (T, D), and its slope
+            (P, T, D).
     """
 
     def __init__(self, model: M, observations: Tensor, free: Sequence[Free], start: Tensor | None):
@@ -132,15 +133,15 @@ class _Search(Generic[M]):
         return (values[:size] - values[size:]) / (2 * STEP)
 
     def covariance(self, phi: np.ndarray, bends: np.ndarray) -> np.ndarray:
-        """(P, P) by the values' curvature at φ, ``bends`` where a mode is lost; nowhere wider than the prior."""
+        """(P, P) by the values' curvature at φ, ``bends`` where no mode is found; nowhere wider than the prior."""
         size = len(phi)
-        unit = APART * np.eye(size)
+        unit = CURVATURE_STEP * np.eye(size)
         first, second = np.triu_indices(size, 1)
         values, _ = self._at(phi + np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]]))
         middle, up, down, pairs = np.split(values, [1, 1 + size, 1 + 2 * size])
-        hessian = np.diag((up + down - 2 * middle) / APART**2)
-        hessian[first, second] = hessian[second, first] = (pairs - up[first] - up[second] + middle) / APART**2
-        if not np.isfinite(hessian).all() or (values - values[0]).max() > LOST:
+        hessian = np.diag((up + down - 2 * middle) / CURVATURE_STEP**2)
+        hessian[first, second] = hessian[second, first] = (pairs - up[first] - up[second] + middle) / CURVATURE_STEP**2
+        if not np.isfinite(hessian).all() or (values - values[0]).max() > MAX_LOSS:
             hessian = bends
         values, vectors = np.linalg.eigh(self.sd[:, None] * hessian * self.sd)
         vectors = self.sd[:, None] * vectors

@@ -9,7 +9,7 @@ over, and run through one backward recursion together. Means that a parameter do
 Link lengths are known a hundred times better than noise scales: a first-order or quasi-Newton method crawls here.
 
 Under heavy tails the least squares that stand in for rows have the right gradient, but a Hessian whose sign may be
-wrong: it serves the search. What is told of parameters comes from differences of gradients, each at its own mode.
+wrong: it serves the search. What is reported of parameters comes from differences of gradients, each at its own mode.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,12 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
-from invdyn.inference.smoothing.posterior_linearisation import Alike, fit_linear, moved_means, posterior_linearisation
+from invdyn.inference.smoothing.posterior_linearisation import (
+    SharedMeans,
+    fit_linear,
+    moved_means,
+    posterior_linearisation,
+)
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.observation.missing import is_gaussian
 from invdyn.models.state_space import StateSpaceModel
@@ -33,13 +38,13 @@ STEP = 2e-3
 PATIENCE = 6
 """Iterations without a gain that end the search; rejected ones shrink the trust region fourfold each."""
 
-APART, MOST_APART = 0.25, 0.1
+GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
 
 NOT_FINITE = (
     "the fit cannot start: expected a finite evidence with finite slopes, got none; look for places far from all "
-    "others, such as a lost point written as 0, and check units and the body's lengths"
+    "others, such as a missing point written as 0, and check units and the body's lengths"
 )
 
 
@@ -164,10 +169,10 @@ class _Objective(Generic[M]):
         _, gradient, hessian = self._evaluate(phi)
         if not self.heavy:
             return hessian
-        steps = APART / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
+        steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
         rows, found = np.zeros_like(hessian), self.path
         try:
-            for k, step in enumerate(np.clip(steps, STEP, MOST_APART)):
+            for k, step in enumerate(np.clip(steps, STEP, MAX_GRADIENT_STEP)):
                 self.path = found
                 with diverging():
                     rows[k] = (self._expand(phi + step * np.eye(len(phi))[k])[1] - gradient) / step
@@ -196,7 +201,7 @@ class _Objective(Generic[M]):
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and Hessian at φ."""
         model, size = self.at(phi), len(phi)
-        # From the last mode always: begun anew the search may end at another one, and evidences would not compare.
+        # From the last mode always: from the start the search may end at another one, and evidences would not compare.
         mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
@@ -207,7 +212,7 @@ class _Objective(Generic[M]):
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
         path = smoother.path.expand(len(shifts), *smoother.path.shape)
         covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
-        moved, seen = self._alike(phi, shifts, path, covariance)
+        moved, seen = self._shared_means(phi, shifts, path, covariance)
         linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance, moved, seen)
         evidence = solve(linear).log_evidence + linear.log_constant
         middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
@@ -219,16 +224,16 @@ class _Objective(Generic[M]):
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
         return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
 
-    def _alike(self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor) -> list[Alike]:
+    def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor) -> list[SharedMeans]:
         """The fewest parameter sets that have all means at φ + ``shifts`` (B, P), of transitions and of emissions."""
         each = np.zeros((1 + len(self.free), len(phi)))
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP
         found = []
-        for told in moved_means(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
-            moves = each.T @ np.where(told, 1 / STEP, 0.0)
+        for moving in moved_means(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
+            moves = each.T @ np.where(moving, 1 / STEP, 0.0)
             fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
-            found.append(Alike(self.at(phi + fewer), torch.as_tensor(number)))
+            found.append(SharedMeans(self.at(phi + fewer), torch.as_tensor(number)))
         return found
 
 

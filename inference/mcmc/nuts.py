@@ -85,7 +85,7 @@ def sample_paths(
         model: in float64, its parameters known.
         observations: (T, O), NaN where missing.
         whitening: the chain whose innovations are sampled, near the posterior.
-        chains, draws, warmup: chains, begun apart from one another, and steps of each that are kept and thrown away.
+        chains, draws, warmup: chains, started apart from one another, and steps of each that are kept and thrown away.
         seed: of torch's global generator, which the chains set, each its own.
         progress: called with (steps done, steps) of all chains.
     """

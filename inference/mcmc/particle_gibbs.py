@@ -1,8 +1,8 @@
 """Particle Gibbs with ancestor sampling: a Markov chain of whole paths, exact for any number of particles.
 
 Lindsten, Jordan & Schön (2014), "Particle Gibbs with ancestor sampling", algorithm 2. One sweep runs a particle
-filter in which the last particle is held to the path x' of the sweep before. Where that filter resamples, the held
-particle's past is drawn anew,
+filter in which the last particle is the path x' of the sweep before. Where that filter resamples, the past of that
+particle is drawn again,
 
     P(ancestor of x'_t = n) ∝ Ŵ_{t−1}^n p(x'_t | x_{t−1}^n),     Ŵ = W/ψ̃  (the filter without its twist),
 
@@ -46,17 +46,19 @@ BLOCK = 6
 
 
 @torch.no_grad()
-def sweep(guide: Proposal, observations: Tensor, held: Tensor, num_particles: int, *, threshold: float = 0.5) -> Tensor:
+def sweep(
+    guide: Proposal, observations: Tensor, reference: Tensor, num_particles: int, *, threshold: float = 0.5
+) -> Tensor:
     """Paths (M, T, D) of the next sweep, given those of the sweep before.
 
     Args:
         guide: of a model whose transition has a density; its ``log_twist`` is used where it has one.
         observations: (T, O), NaN where missing.
-        held: (M, T, D) the sweep before.
-        num_particles: N, the held one among them; at least 2.
+        reference: (M, T, D) the sweep before.
+        num_particles: N, the reference among them; at least 2.
         threshold: resample a filter when its ESS falls below this share of N; 1 is the printed algorithm.
     """
-    return _conditional_filter(guide, observations, held, len(held), num_particles, threshold)
+    return _conditional_filter(guide, observations, reference, len(reference), num_particles, threshold)
 
 
 @torch.no_grad()
@@ -68,7 +70,7 @@ def first_paths(
 
 
 def _conditional_filter(
-    guide: Proposal, observations: Tensor, held: Tensor | None, chains: int, size: int, threshold: float
+    guide: Proposal, observations: Tensor, reference: Tensor | None, chains: int, size: int, threshold: float
 ) -> Tensor:
     model, rows = guide.model, len(observations)
     device = observations.device
@@ -84,19 +86,19 @@ def _conditional_filter(
             need = ess(log_weights) < threshold * size
             if bool(need.any()):
                 drawn = resample(log_weights, "multinomial")
-                if held is not None:
-                    # Ancestors come sorted: a random one gives way to the held particle's, not the largest.
+                if reference is not None:
+                    # Ancestors come sorted: a random one gives way to the reference's, not the largest.
                     out = torch.randint(size, (chains, 1), device=device)
                     drawn = drawn.scatter(-1, out, drawn[:, -1:])
-                    reach = log_step(model, state, held[:, t].unsqueeze(-2), observations[t], t)
+                    reach = log_step(model, state, reference[:, t].unsqueeze(-2), observations[t], t)
                     drawn[:, -1] = categorical(log_weights - twist + reach)
                 parents = torch.where(need.unsqueeze(-1), drawn, itself)
                 state, twist = take(state, parents), twist.gather(-1, parents)
                 log_weights = torch.where(need.unsqueeze(-1), 0.0, log_weights)
             proposal, prior = guide.conditional(t, state), model.transition(state, t)
         previous, state = state if t > 0 else None, proposal.sample()
-        if held is not None:
-            state[:, -1] = held[:, t]
+        if reference is not None:
+            state[:, -1] = reference[:, t]
         increment = prior.log_prob(state) - proposal.log_prob(state)
         if bool((~torch.isnan(observations[t])).any()):
             increment = increment + observed_log_prob(model.row_emission(previous, state, t), observations[t])

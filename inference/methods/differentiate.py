@@ -33,7 +33,7 @@ from invdyn.models.inverse_kinematics import row_poses
 from invdyn.models.kinematics import joint_angle_candidates, link_angles, within_half_a_turn
 from invdyn.recordings import InputError
 
-FEWEST_FRAMES = 10
+MIN_FRAMES = 10
 """Frames that the filter needs to reflect at its ends."""
 
 
@@ -97,8 +97,8 @@ def derivatives(
     """
     grid, interval = _regular(time)
     cutoffs = np.broadcast_to(np.asarray(cutoff, dtype=float), angle.shape[1:])
-    if len(grid) < FEWEST_FRAMES:
-        raise InputError(f"filter-and-differentiate needs at least {FEWEST_FRAMES} frames, got {len(grid)}")
+    if len(grid) < MIN_FRAMES:
+        raise InputError(f"filter-and-differentiate needs at least {MIN_FRAMES} frames, got {len(grid)}")
     if not ((cutoffs > 0) & (cutoffs < 0.5 / interval)).all():
         raise InputError(f"expected a cut-off between 0 and {0.5 / interval:g} Hz, half the frame rate, got {cutoff}")
     q = np.stack([_low_passed(_onto(grid, time, a), f, interval) for a, f in zip(angle.T, cutoffs, strict=True)], -1)
@@ -111,8 +111,8 @@ def derivatives(
 def winter_cutoff(time: np.ndarray, angle: np.ndarray, count: int = 60) -> np.ndarray:
     """Cut-offs (K,), Hz, by Winter's residual analysis of angles (T, K)."""
     grid, interval = _regular(time)
-    if len(grid) < FEWEST_FRAMES:
-        raise InputError(f"filter-and-differentiate needs at least {FEWEST_FRAMES} frames, got {len(grid)}")
+    if len(grid) < MIN_FRAMES:
+        raise InputError(f"filter-and-differentiate needs at least {MIN_FRAMES} frames, got {len(grid)}")
     half = 0.5 / interval
     frequencies = np.linspace(0.01, 0.9, count) * half
     straight = frequencies > half / 2
@@ -163,12 +163,8 @@ def differentiate(
 ) -> az.InferenceData:
     """Torques by filter-and-differentiate: one chain, one draw, no evidence (NaN).
 
-    Args:
+    Args are those of :func:`.smc.smc`, of which options and start are not used, and:
         problem: of the model only the body and the commands are used.
-        options, start: not used; here so that all methods are called alike.
-        seed: of the posterior predictive noise.
-        settings: recorded in the result's attributes.
-        progress: called with (done, total, what).
         cutoff: Hz; by residual analysis, joint by joint, when not given.
 
     Raises InputError for fewer than ten frames, a link that is never seen, an impossible cut-off, or a body

@@ -9,17 +9,14 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
-from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.best_guide import has_own_start, second_opinion
+from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.filters.best_guide import has_own_start, look_ahead_opinion, second_opinion
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.filters.second_opinion import approximation_doubt
+from invdyn.inference.filters.second_opinion import linearisation_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
-
-PILOT = 1
-"""Place of the random numbers of the pilot (:func:`.seeds.derived`)."""
 
 
 def laplace(
@@ -33,24 +30,22 @@ def laplace(
 ) -> az.InferenceData:
     """Posterior and evidence of the linearised model.
 
-    Args:
-        problem: model and observations.
-        options: num_filters × num_draws are the chains × draws of the result; all draws are independent.
-        start: path (T, D) to linearise at first.
-        seed: of the draws.
-        settings: recorded in the result's attributes.
-        progress: called with (done, total, what).
+    Arguments are those of :func:`.smc.smc`; num_filters × num_draws are the chains × draws of the result, all
+    independent.
 
     Where a model has no start of its own (:meth:`.StateSpaceModel.initial_paths`) the linearisation may end in a wrong
-    mode: a bootstrap pilot is a second opinion, and the attributes "usable" and "doubt" of sample_stats say whether
-    the evidence stands.
+    mode, or be of another model, as where the noise depends on the state. Two pilots give a second opinion: bootstrap
+    filters, which see any mode, and filters that the smoother guides, whose error is small. The attributes "usable"
+    and "doubt" of sample_stats say whether the evidence stands.
     """
     options = options or SMCOptions()
-    smoother = gaussian_smoother(problem.model, problem.observations, start)
+    model, rows = problem.model, problem.observations
+    smoother = gaussian_smoother(model, rows, start)
     opinion: dict[str, int | str] = {}
-    if start is None and not has_own_start(problem.model):
-        pilot = second_opinion(problem.model, problem.observations, options, derived(seed, PILOT))
-        doubt = approximation_doubt(smoother.log_evidence.item(), pilot)
+    if start is None and not has_own_start(model):
+        bootstrap = second_opinion(model, rows, options, seed)
+        ahead = look_ahead_opinion(model, rows, options, seed, smoother)
+        doubt = linearisation_doubt(smoother.log_evidence.item(), bootstrap, ahead)
         opinion = {"usable": int(not doubt), "doubt": doubt}
     with seeded(seed), torch.no_grad():
         paths = GaussianChain.of(smoother).sample((options.num_filters, options.num_draws))

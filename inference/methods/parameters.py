@@ -37,7 +37,7 @@ def learn_parameters(
     Args:
         problem: a model with priors (:meth:`.StateSpaceModel.with_priors`), and observations.
         sampler: :func:`.pmmh.pmmh` or :func:`.smc2.smc2`, which have numbers of draws of their own.
-        options: not used; here so that all methods are called alike.
+        options: not used; here so that all methods have one signature.
         seed: of every random number; same seed, same result.
         settings: recorded in the result's attributes.
         progress: called with (done, total, what).
@@ -48,14 +48,6 @@ def learn_parameters(
     found = sampler(problem.model, problem.observations, seed=seed, progress=progress, **arguments)
     if found.paths is None:
         raise ValueError("expected a trajectory of each draw, got none: leave paths=False out")
-
-    statistics: dict[str, float | str] = dict(found.statistics)
-    if not statistics.get("usable", 1):
-        scatter = statistics["log_likelihood_sd"]
-        statistics |= {
-            "usable": 0,
-            "doubt": f"log Ẑ scatters by {scatter:.1f} nats at one parameter: use more particles",
-        }
 
     # Parameters (C, R, own shape) meet states (C, R, T, D).
     each = problem.model.replace(**{name: values.unsqueeze(2) for name, values in found.draws.items()})
@@ -68,12 +60,13 @@ def learn_parameters(
             settings=settings or {},
             log_evidence=found.log_evidence,
             log_evidence_sd=found.log_evidence_sd,
+            log_evidence_increment=found.log_evidence_increment,
             diagnostics={
                 "acceptance": float(found.acceptance.mean()),
                 "num_particles": found.num_particles,
                 "weight_ess": found.ess,
                 "evidence_kind": "estimate",
-                **statistics,
+                **found.statistics,
             },
             parameters=found.draws,
             log_weights=found.log_weights,

@@ -38,27 +38,20 @@ def particle_gibbs(
 ) -> az.InferenceData:
     """Sample the posterior by particle Gibbs; no evidence (NaN).
 
-    Args:
-        problem: model and observations.
-        guide: "controlled", which :func:`.best_guide` may overrule, or "bootstrap".
+    Args are those of :func:`.smc.smc`, and:
         options: num_filters chains of num_draws draws each; num_particles of every sweep.
-        start: path (T, D) to linearise at first.
-        seed: of every random number; same seed, same result.
-        settings: recorded in the result's attributes.
-        progress: called with (done, total, what).
         executor: whose workers run the chains, ``options.filters_per_task`` at a time; the guide is fitted here.
-        checkpoint: keeps the guide and the chains that are done, and goes on from there.
+        checkpoint: keeps the guide and the chains that are done, and continues from there.
         warmup, thin: sweeps that are thrown away at first, and sweeps from one draw to the next.
 
     The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any number
-    that the problem monitors, over
-    all sweeps after the warm-up. Raises InputError for fewer than 2 particles, or a body that is uncertain; LostWork
-    when a task's workers died each time.
+    that the problem monitors, over all sweeps after the warm-up. Raises InputError for fewer than 2 particles, or a
+    body that is uncertain; LostWork when a task's workers died each time.
     """
     options = options or SMCOptions()
     if options.num_particles < 2:
         raise InputError(
-            f"particle Gibbs needs at least 2 particles, the held one among them: got {options.num_particles}"
+            f"particle Gibbs needs at least 2 particles, one of them the last path: got {options.num_particles}"
         )
     if problem.uncertain:
         raise InputError(

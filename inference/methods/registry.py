@@ -31,9 +31,9 @@ def timed(method: Method) -> Method:
 
     @wraps(getattr(method, "func", method))
     def run(*args: Any, **kwargs: Any) -> az.InferenceData:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         idata = method(*args, **kwargs)
-        idata["sample_stats"].attrs["seconds"] = time.perf_counter() - begun
+        idata["sample_stats"].attrs["seconds"] = time.perf_counter() - start
         return idata
 
     return run

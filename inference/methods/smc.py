@@ -49,7 +49,7 @@ def smc(
         settings: recorded in the result's attributes.
         progress: called with (done, total, what).
         executor: whose workers run the filters, ``options.filters_per_task`` at a time; the guide is fitted here.
-        checkpoint: keeps the guide and the filters that are done, and goes on from there.
+        checkpoint: keeps the guide and the filters that are done, and continues from there.
 
     Raises LostWork when a task's workers died each time, SMCFailed when all particles of a filter have weight zero.
     """

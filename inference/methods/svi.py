@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
-from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.best_guide import second_opinion
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.second_opinion import bound_doubt
@@ -16,9 +16,6 @@ from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
 
 GUIDES = {"svi": MeanField, "svi-markov": Markov}
-
-PILOT = 1
-"""Place of the random numbers of the pilot (:func:`.seeds.derived`)."""
 
 
 def svi(
@@ -34,14 +31,9 @@ def svi(
 ) -> az.InferenceData:
     """Variational posterior and its bound on the evidence.
 
-    Args:
-        problem: model and observations.
+    Args are those of :func:`.smc.smc`, and:
         guide: a key of ``GUIDES``: "svi" (mean field) or "svi-markov".
         options: num_filters × num_draws are the chains × draws of the result; all draws are independent.
-        start: path (T, D) to linearise at first.
-        seed: of every random number; same seed, same result.
-        settings: recorded in the result's attributes.
-        progress: called with (done, total, what).
         max_steps: gradient steps at most.
     """
     options = options or SMCOptions()
@@ -53,7 +45,7 @@ def svi(
         value, error = bound(fitted, model, observations)
         with torch.no_grad():
             paths = fitted.distribution().sample((options.num_filters, options.num_draws))
-        pilot = second_opinion(model, observations, options, derived(seed, PILOT), start)
+        pilot = second_opinion(model, observations, options, seed, start)
         doubt = bound_doubt(value, paths[0, 0].numel(), pilot)
         return to_inference_data(
             problem,

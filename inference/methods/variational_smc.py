@@ -5,7 +5,7 @@ The bound of :class:`.vsmc.VSMC_ELBO` with the free parameters φ = log(θ/θ_st
     L = E_q(φ) [ log p̂_φ(y) + log p(φ) − log q(φ) ] ≤ log p(y),       q = N(m, S),  p = N(0, diag sd²)
 
 begins where :func:`.marginal_likelihood.fit` ends: m and S are Laplace's there, with the whole covariance. The
-filter's guide is the controlled one of whatever φ is drawn, its smoother made anew, plus a learned correction that
+filter's guide is the controlled one of each φ that is drawn, with a smoother of its own, plus a learned correction that
 all φ share (:class:`.affine.Corrected`); what the smoother owes to φ is not differentiated, which costs nothing where
 the guide is exact. Steps are taken in the coordinates u of φ = m₀ + S₀^½ u, where one learning rate suits all.
 
@@ -58,15 +58,11 @@ def vsmc(
 ) -> az.InferenceData:
     """Train the guide, and the posterior of the ``free`` parameters; then run the trained filters.
 
-    Args:
+    Args are those of :func:`.smc.smc`, and:
         problem: model and observations; the model's parameters are the centre of the free ones' prior.
         free: parameters to learn; without any, the guide alone is trained, at the model's parameters.
         options: sizes of the filters that are reported; training has 4 of at most 50 particles.
-        start: path (T, D) to linearise at first.
-        seed: of every random number; same seed, same result.
-        settings: recorded in the result's attributes.
-        progress: called with (done, total, what).
-        checkpoint: keeps the training, and goes on from there.
+        checkpoint: keeps the training, and continues from there.
         steps, learning_rate: of Adam; the rate falls tenfold over the steps. The guide's correction has thousands
             of entries and learns at a tenth of the rate. Training that did not raise the bound of a pilot run is
             undone.

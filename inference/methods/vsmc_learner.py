@@ -12,13 +12,13 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.progress import Report
-from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation
 from invdyn.inference.filters.best_guide import second_opinion
 from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
-from invdyn.inference.filters.second_opinion import evidence
+from invdyn.inference.filters.second_opinion import Evidence, evidence
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
@@ -28,14 +28,12 @@ from invdyn.inference.variational.training import train
 from invdyn.inference.variational.vsmc import VSMC_ELBO
 from invdyn.models import StateSpaceModel
 
-WORTH = 0.01
+MIN_GAIN = 0.01
 """Nats that training must gain to be kept."""
 PILOTS = 32
 """Filters of a pilot run."""
-PILOT = 1
-"""Place of the random numbers of a second opinion (:func:`.seeds.derived`)."""
 CHUNK = 500
-"""Rows whose graph is held at once, of longer recordings."""
+"""Rows whose graph is in memory at once, of longer recordings."""
 
 
 class Learner(ABC):
@@ -81,7 +79,7 @@ class Learner(ABC):
         before = self._pilot(seed)
         train(svi, steps, self.rows, checkpoint=checkpoint, report=report)
         gain = self._pilot(seed) - before
-        if not gain > WORTH:
+        if not gain > MIN_GAIN:
             pyro.clear_param_store()  # all of them begin at the start
             return 0.0
         return gain
@@ -103,6 +101,10 @@ class Learner(ABC):
             resampling=o.resampling,
         )
         return filters.run(self.rows, progress=report).cpu()
+
+    def pilot(self, seed: int) -> Evidence | None:
+        """Evidence of a bootstrap filter of the model; None where it collapses, or the start is known to be good."""
+        return second_opinion(self.model, self.observations, self.options, seed, self.start)
 
     def settings(self, given: dict) -> dict:
         """What is recorded."""
@@ -144,8 +146,7 @@ class AtParameters(Learner):
             smoother=self.smoother,
             progress=smoothing,
         )
-        pilot = second_opinion(self.model, self.observations, self.options, derived(seed, PILOT), self.start)
-        found = evidence(result.log_evidence, "vsmc", pilot)
+        found = evidence(result.log_evidence, "vsmc", self.pilot(seed))
         own = self.settings(settings)
         doubts: dict[str, float | str] = {"usable": int(found.usable), "doubt": found.reason}
         doubts["contradicted"] = found.contradicted

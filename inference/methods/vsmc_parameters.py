@@ -18,6 +18,8 @@ from invdyn.inference.execution.progress import Report
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import approximation_doubt, scatter_doubt
+from invdyn.inference.filters.second_opinion import evidence as outer_evidence
 from invdyn.inference.fitting.identifiability import unidentified
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
 from invdyn.inference.methods.vsmc_learner import Learner
@@ -27,9 +29,6 @@ from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newt
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.parameter_guide import Following, Uncertain
-
-TAIL = 8.0
-"""Degrees of freedom of the proposal: heavier in its tails than q, so that the weights stay bounded."""
 
 
 class OverParameters(Learner):
@@ -52,6 +51,7 @@ class OverParameters(Learner):
         root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
         centre = torch.as_tensor(found.phi)
         super().__init__(problem, options, found.model, found.path)
+        self.start = start  # for the pilot: what the fit itself found may be a wrong mode
         self.guide = Following(self.model, self.rows, self.smoother, len(centre))
         base = LogParameters(problem.model.to(dtype=self.dtype, device=options.device), free)
         self.target = Uncertain(base, centre, root)
@@ -63,7 +63,8 @@ class OverParameters(Learner):
     def _drawn(self, count: int, report: Report | None) -> tuple[Tensor, FilterResult, Tensor]:
         """Log of the weights' numerator over denominator (M,), the filters, and their φ (M, P)."""
         loc, root = self.guide.location_and_root()
-        proposal = MultivariateStudentT(TAIL, loc, root)
+        # Of eight degrees of freedom: heavier in its tails than q, so that the weights stay bounded.
+        proposal = MultivariateStudentT(8.0, loc, root)
         u = proposal.sample((count,))
         phi = self.target.phi(u)
         result = self._each(phi, report)
@@ -84,6 +85,10 @@ class OverParameters(Learner):
         mean = dataclasses.replace(self.problem, model=self.log_parameters.at(middle))
         constant = to_inference_data(mean, paths[:1], method="vsmc", seed=seed, settings={})["constant_data"]
         idata["constant_data"].update(constant)
+        # The pilot is of the fitted parameters, as the smoother is; the filters have others each.
+        doubt = scatter_doubt(outer_evidence(evidence, "vsmc"))
+        doubt = doubt or approximation_doubt(self.smoother.log_evidence.item(), self.pilot(seed))
+        idata["sample_stats"].attrs |= {"usable": int(not doubt), "doubt": doubt}
         return idata, found
 
     def _each(self, phi: Tensor, report: Report | None) -> FilterResult:

@@ -1,10 +1,10 @@
-"""A bank of particle filters, one for each of M parameter sets, that goes on row by row.
+"""A bank of particle filters, one for each of M parameter sets, that advances row by row.
 
     log w_t = log W_{t−1} + log p(x_t | x_{t−1})/q(x_t) + log g(y_t | x_t),     log Ẑ += log Σ_n w_t^n
 
 as in :mod:`.particle_filter`, of which these are the steps between rows that SMC² needs: filters are copied, exchanged
 and restarted between two rows. A parameter set that gives the observations no density has log Ẑ = −∞ and is no error.
-E[Ẑ(θ)] = p(y | θ) for each set, whatever the number of particles (Del Moral 2004, prop. 7.4.1).
+E[Ẑ(θ)] = p(y | θ) for each set and any number of particles (Del Moral 2004, prop. 7.4.1).
 
 Shapes: M filters × N particles, states (M, N, D); rows (T, O), or (T, M, 1, O) where each filter has its own.
 """

@@ -20,13 +20,16 @@ from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.parameters.random_walk import RIDGE, weighted_moments
 from invdyn.inference.parameters.unconstrained import UnconstrainedParameters
 
-PRIOR_SHARE, DEGREES_OF_FREEDOM = 0.1, 5.0
-"""ε and ν."""
-
 
 @torch.no_grad()
 def importance_evidence(
-    space: UnconstrainedParameters, z: Tensor, log_likelihood: Callable[[Tensor], Tensor], num_draws: int
+    space: UnconstrainedParameters,
+    z: Tensor,
+    log_likelihood: Callable[[Tensor], Tensor],
+    num_draws: int,
+    *,
+    prior_share: float = 0.1,
+    df: float = 5.0,
 ) -> tuple[float, float]:
     """Log-evidence and its standard error, nats, from draws z (K', P) of the posterior; by torch's global generator.
 
@@ -35,12 +38,13 @@ def importance_evidence(
         z: draws of the posterior, or near it.
         log_likelihood: (K,) at (K, P), or the logarithm of unbiased estimates.
         num_draws: K.
+        prior_share, df: ε and ν.
     """
     mean, covariance = weighted_moments(z, z.new_zeros(len(z)))
     root = torch.linalg.cholesky(covariance + RIDGE * torch.eye(space.size, dtype=z.dtype))
-    student = MultivariateStudentT(z.new_tensor(DEGREES_OF_FREEDOM), mean, root)
+    student = MultivariateStudentT(z.new_tensor(df), mean, root)
 
-    from_prior = max(1, round(PRIOR_SHARE * num_draws))
+    from_prior = max(1, round(prior_share * num_draws))
     proposed = torch.cat([space.draw((from_prior,)), student.sample((num_draws - from_prior,))])
     share = from_prior / num_draws
     log_prior = space.log_prior(proposed)

@@ -128,7 +128,9 @@ def pmmh(
 
         with seeded(derived(seed, EVIDENCE)):
             evidence, evidence_sd = importance_evidence(space, z.flatten(0, 1), log_likelihood, evidence_draws)
-    usable = found.log_evidence_sd.item() < NOISE_LIMIT
+    scatter = found.log_evidence_sd.item()
+    usable = scatter < NOISE_LIMIT
+    doubt = "" if usable else f"log Ẑ scatters by {scatter:.1f} nats at one parameter: use more particles"
     return ParameterPosterior(
         method="pmmh",
         seed=seed,
@@ -140,7 +142,7 @@ def pmmh(
         log_evidence_sd=evidence_sd if usable else math.nan,
         paths=None if found.paths is None else found.paths[0],
         num_particles=found.num_particles,
-        statistics={"log_likelihood_sd": found.log_evidence_sd.item(), "usable": float(usable)},
+        statistics={"log_likelihood_sd": scatter, "usable": int(usable), "doubt": doubt},
     )
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.resampling import ess
+from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
 from invdyn.inference.parameters.unconstrained import UnconstrainedParameters
 
 
@@ -33,7 +34,8 @@ class ParameterPosterior:
         log_evidence_increment: (T,) log p(y_t | y_{0:t−1}); None for a method that takes all rows at once.
         paths: (C, R, T, D), a smoothed trajectory of each draw; None if they were not kept.
         num_particles: of each filter at the end; 0 where the likelihood is another function.
-        statistics: further numbers of the method, by name.
+        statistics: further numbers of the method, by name; among them "usable", 1 where the evidence stands, and
+            "doubt", why it does not, in a line.
     """
 
     method: str
@@ -47,11 +49,11 @@ class ParameterPosterior:
     log_evidence_increment: Tensor | None = None
     paths: Tensor | None = None
     num_particles: int = 0
-    statistics: Mapping[str, float] = field(default_factory=dict)
+    statistics: Mapping[str, float | str] = field(default_factory=dict)
 
     @property
     def ess(self) -> float:
-        """Number of equally weighted draws that the weights are worth, 1 … C R; chains' autocorrelation aside."""
+        """Number of equally weighted draws that the weights are worth, 1 … C R; without the chains' autocorrelation."""
         return ess(self.log_weights.flatten()).item()
 
     def mean(self, name: str) -> Tensor:
@@ -76,6 +78,7 @@ def combine_runs(
     """
     joined = {name: torch.stack([part[name] for part in parts]) for name in parts[0]}
     outer = outer_weights(joined["log_evidence"])
+    doubt = scatter_doubt(evidence(outer, method), "run")
     increments = joined.get("log_evidence_increment")
     if increments is not None:
         # Row by row, the runs' estimates weighted by their evidence of the rows before.
@@ -89,9 +92,9 @@ def combine_runs(
         log_likelihood=joined["log_likelihood"],
         acceptance=joined["acceptance"],
         log_evidence=outer.log_evidence,
-        log_evidence_sd=outer.log_evidence_sd,
+        log_evidence_sd=math.nan if doubt else outer.log_evidence_sd,
         log_evidence_increment=increments,
         paths=joined.get("paths"),
         num_particles=num_particles,
-        statistics={"outer_ess": outer.ess},
+        statistics={"outer_ess": outer.ess, "usable": int(not doubt), "doubt": doubt},
     )

@@ -15,7 +15,7 @@ from invdyn.recordings.cameras import Calibration, Filmed
 from invdyn.recordings.cameras.projection import Lens
 
 LEARNED = ("offset", "pose", "turn")
-"""What may be learned of cameras: clocks and poses of all but the first, or how each of them is turned."""
+"""What may be learned of cameras: clocks and poses of all but the first, or how each of them is rotated."""
 
 
 def pinhole(calibration: Calibration) -> PinholeCameras:
@@ -48,7 +48,7 @@ def pixels_of(recording: Filmed, sites: list[tuple[int, int]], learn: tuple[str,
     views = recording.views
     assert views is not None  # as it was made
     order = [keypoint for keypoint, _ in sites]
-    # A picture whose size nobody says reaches twice as far as its middle.
+    # A picture of unknown size reaches twice as far as its middle.
     size = [camera.size or tuple(2 * camera.center) for camera in views.calibration]
     confidence = views.confidence[:, :, order]
     tells = np.isfinite(confidence).any() and np.ptp(confidence[np.isfinite(confidence)]) > 0

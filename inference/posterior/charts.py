@@ -2,12 +2,12 @@
 
 With turns about letters a, b and c one after the other (yaw, pitch, roll of "zyx"), the angles are singular where the
 link's axis c lies along the joint's axis a: at a pitch of 90°. Where a motion passes a pitch of ``WIDE``, the joint's
-frame is turned: its axis a is put where the link's axis c, whose directions are d_t, stays farthest from it,
+frame is rotated: its axis a is put where the link's axis c, whose directions are d_t, stays farthest from it,
 
     a = argmin over unit vectors of max_t |a · d_t|,
 
 and zero in the middle of the motion. A ball is the same ball then. A universal joint is another mechanism, of another
-twist, and is turned only where twist plays no part: of a stick on which nothing hangs but balls and other such sticks.
+twist, and is rotated only where twist has no effect: of a stick on which nothing hangs but balls and other such sticks.
 
 Shapes: T rows, K coordinates.
 """
@@ -31,7 +31,7 @@ Paths = Callable[[Tree], np.ndarray | None]
 
 
 def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
-    """The tree in charts that suit the recording, and a sentence for each joint whose frame was turned."""
+    """The tree in charts that suit the recording, and a sentence for each joint whose frame was rotated."""
     said: list[str] = []
     tried: set[str] = set()
     while (path := paths(tree)) is not None:
@@ -42,12 +42,12 @@ def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
         tried.add(link.joint.name)
         frame = frame_for(directions(tree, link, path), link.joint.chart)
         rotation = clean(np.array(link.rotation) @ frame)
-        turned = replace(link, rotation=tuple(map(tuple, rotation.tolist())))
-        tree = replace(tree, links=tuple(turned if each is link else each for each in tree.links))
+        rotated = replace(link, rotation=tuple(map(tuple, rotation.tolist())))
+        tree = replace(tree, links=tuple(rotated if each is link else each for each in tree.links))
         most = steep[link.joint.name]
         said.append(
             f"{link.joint.name}: its motion comes to a pitch of {most:.0f}° in the body file's frame; "
-            "angles and torques are about axes turned to the middle of the motion (the posterior's constant rotation)"
+            "angles and torques are about axes rotated to the middle of the motion (the posterior's constant rotation)"
         )
     return tree, said
 
@@ -56,7 +56,7 @@ def poles(tree: Tree, path: np.ndarray) -> list[str]:
     """A sentence for each joint that passes ``STEEP`` along a path (T, K)."""
     return [
         f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
-        "torques are told badly: take a shorter stretch, or give the joint another rotation"
+        "torques are known badly: take a shorter stretch, or give the joint another rotation"
         for name, most in pitches(tree, path).items()
         if most > STEEP
     ]

@@ -44,8 +44,8 @@ from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-LOST = 20.0
-"""Times as far off as a sure keypoint that a doubtful one is lost."""
+OUTLIER_RATIO = 20.0
+"""Times as far off as a sure keypoint that a doubtful one is an outlier."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def arm_problem(
         passive: the commanded torque is zero.
         truth: to compare with.
         learn_cameras: what of a film's cameras is not known: "offset" and "pose" of all but the first, or, instead of
-            poses, "turn", how each is turned about its place.
+            poses, "turn", how each is rotated about its place.
         origin: see :class:`Problem`; by default the time of the first row.
 
     Raises InputError when the recording does not fit the body.
@@ -166,7 +166,7 @@ def arm_problem(
         body = with_observed_lengths(recording, body)
     notes: tuple[str, ...] = ()
     if isinstance(body, Tree):
-        # Where somebody else speaks in its coordinates they stay as they are.
+        # Where others use its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
         body, notes = _charted(body, time, observations, observation, turning=not spoken)
@@ -298,15 +298,15 @@ def _start_values(
 def confidence_drop(off: np.ndarray, drop: np.ndarray) -> np.ndarray:
     """Start of δ of each keypoint, (P,), from misfits (T, P, d) and the drops of their confidence (T, P).
 
-    Where doubtful rows are ``LOST`` times as far off as sure ones they start as lost, δ = log(ratio) per drop: as good
-    ones the mode would run through them, and the search for parameters end there. What is noisier by less starts at 0,
-    for it may be an effect that a diagnosis names.
+    Where doubtful rows are ``OUTLIER_RATIO`` times as far off as sure ones they start as outliers, δ = log(ratio) per
+    drop: as good ones the mode would run through them, and the search for parameters end there. What is noisier by less
+    starts at 0, for it may be an effect that a diagnosis names.
     """
     start = np.zeros(drop.shape[1])
     for p, (size, d) in enumerate(zip(np.linalg.norm(off, axis=-1).T, drop.T, strict=True)):
         low = np.isfinite(size) & (d > 0.5)
         high = np.isfinite(size) & (d <= 0.5)
-        if low.any() and high.any() and np.median(size[low]) > LOST * np.median(size[high]) > 0:
+        if low.any() and high.any() and np.median(size[low]) > OUTLIER_RATIO * np.median(size[high]) > 0:
             ratio = np.median(size[low]) / np.median(size[high])
             start[p] = np.log(ratio) / (np.median(d[low]) - np.median(d[high]))
     return start

@@ -1,7 +1,7 @@
 """The noise of what was recorded, from what a smooth motion cannot explain: differences of a high order.
 
 The noise of a point in d dimensions is the largest along its principal axes, 1.4826 times the median absolute value.
-So it does not depend on how the recording's axes are turned. The principal axes are those of the vectors' directions,
+So it does not depend on how the recording's axes are rotated. The principal axes are those of the vectors' directions,
 which far ones do not sway:
 
     S = Σ_i v_i v_iᵀ / |v_i|²,   σ = max over eigenvectors u of S of 1.4826 median |uᵀ v_i|
@@ -17,7 +17,7 @@ import numpy as np
 
 ORDERS, HIGHER = (3, 4, 5), (10, 15)
 """Of the differences that noise is estimated from, and of those that a very fast motion needs."""
-SURELY = 3.0
+SIGNIFICANT = 3.0
 """Standard deviations by which a higher order must show less."""
 MEDIAN = 1.36
 """n times the relative variance of the median of the sizes of n Gaussians."""
@@ -32,7 +32,7 @@ def jitter(columns: np.ndarray) -> np.ndarray:
 
 
 def point_jitter(points: np.ndarray) -> np.ndarray:
-    """Noise sd of points (T, P, d), (P,), whichever way the axes are turned; see :func:`jitter`."""
+    """Noise sd of points (T, P, d), (P,), for any rotation of the axes; see :func:`jitter`."""
     return np.array([robust_sd(differences(seen_vectors(point))) for point in points.swapaxes(0, 1)])
 
 
@@ -56,9 +56,10 @@ def seen_vectors(vectors: np.ndarray) -> np.ndarray:
 def differences(vectors: np.ndarray) -> np.ndarray:
     """n-th differences of vectors (T, d), (T − n, d), as large as the noise in them; none of too few rows.
 
-    Those of white noise have √(2n choose n) times its sd, whatever n, by which they are divided; what a fast arm adds
+    Those of white noise have √(2n choose n) times its sd, for any n, by which they are divided; what a fast arm adds
     to them falls with n, so that the order with the least of them counts. Of a very fast one it falls beyond ``ORDERS``
-    still: higher ones follow while each has surely less, by ``SURELY`` standard deviations of a median's logarithm.
+    still: higher ones follow while each has significantly less, by ``SIGNIFICANT`` standard deviations of a
+    median's logarithm.
     """
 
     def scaled(n: int) -> np.ndarray:
@@ -67,7 +68,7 @@ def differences(vectors: np.ndarray) -> np.ndarray:
     orders = [n for n in ORDERS if len(vectors) > n]
     found = min((scaled(n) for n in orders), key=robust_sd, default=vectors[:0])
     for higher in (scaled(n) for n in HIGHER if len(vectors) > 2 * n):
-        ratio = math.exp(-SURELY * math.sqrt(MEDIAN / len(higher)))
+        ratio = math.exp(-SIGNIFICANT * math.sqrt(MEDIAN / len(higher)))
         if not robust_sd(higher) < ratio * robust_sd(found):
             break
         found = higher

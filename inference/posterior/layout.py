@@ -39,7 +39,7 @@ STATE_VARIABLES = {"posterior": {"state": ("chain", "draw", "time", "state_name"
 """Of a posterior of any state-space model, whose attribute "layout" is "states"."""
 NUMBERS, TEXTS = ("log_evidence", "outer_ess"), ("method",)
 """Attributes of the whole."""
-LARGEST, LONGEST = 1e15, 100
+MAX_NUMBER, MAX_NAME = 1e15, 100
 """Of any number, and of any name in characters."""
 
 
@@ -100,8 +100,8 @@ def _check_variable(what: str, values: xr.DataArray, dims: tuple[str, ...], may_
     if set(values.dims) != set(dims) or values.dtype.kind not in "fiub" or not values.size:
         raise InputError(f"{what}: expected numbers over {', '.join(dims)}, got {values.dtype} over {values.dims}")
     numbers = np.abs(values.to_numpy().astype(np.float64))
-    if np.nanmax(numbers, initial=0.0) > LARGEST or (not may_miss and np.isnan(numbers).any()):
-        raise InputError(f"{what}: expected finite numbers up to {LARGEST:.0e}, it has others")
+    if np.nanmax(numbers, initial=0.0) > MAX_NUMBER or (not may_miss and np.isnan(numbers).any()):
+        raise InputError(f"{what}: expected finite numbers up to {MAX_NUMBER:.0e}, it has others")
     if not _printable(values.attrs.get("units", None if what.startswith("posterior/") else "1")):
         raise InputError(f"{what}: expected its unit as text, in the attribute units")
 
@@ -115,7 +115,7 @@ def _check_skeleton(skeleton: np.ndarray, keypoints: int) -> None:
 def _check_time(posterior: xr.Dataset) -> None:
     time = posterior["time"].to_numpy() if "time" in posterior.coords else np.empty(0)
     rises = len(time) > 1 and time.dtype.kind == "f" and np.isfinite(time).all() and (np.diff(time) > 0).all()
-    if not rises or np.abs(time).max() > LARGEST:
+    if not rises or np.abs(time).max() > MAX_NUMBER:
         raise InputError("posterior/time: expected times in s that increase")
 
 
@@ -123,15 +123,17 @@ def _check_names(what: str, data: xr.Dataset) -> None:
     dim = what.rpartition("/")[2]
     names = data[dim].to_numpy().tolist() if dim in data.coords else []
     if not names or len(set(map(str, names))) < len(names) or not all(map(_printable, names)):
-        raise InputError(f"{what}: expected names, each once, of up to {LONGEST} characters that can be printed")
+        raise InputError(f"{what}: expected names, each once, of up to {MAX_NAME} characters that can be printed")
 
 
 def _check_attribute(name: str, value: Any) -> None:
     if name in TEXTS and not _printable(value):
         raise InputError(f"attribute {name}: expected a text, got {value!r:.60}")
-    if name in NUMBERS and (not isinstance(value, float | int | np.integer | np.floating) or np.abs(value) > LARGEST):
+    if name in NUMBERS and (
+        not isinstance(value, float | int | np.integer | np.floating) or np.abs(value) > MAX_NUMBER
+    ):
         raise InputError(f"attribute {name}: expected a number, got {value!r:.60}")
 
 
 def _printable(text: object) -> bool:
-    return isinstance(text, str) and bool(text.strip()) and text.isprintable() and len(text) <= LONGEST
+    return isinstance(text, str) and bool(text.strip()) and text.isprintable() and len(text) <= MAX_NAME

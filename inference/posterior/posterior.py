@@ -8,10 +8,10 @@ Layout (dims in brackets):
     log_likelihood        y [chain, draw, time], log p(y_t | x_t) of each row that holds an observation, nat
     sample_stats          log_evidence [filter] (or a bound on it), log_weight [filter] (outer, normalised);
                           of particle filters also ess, resampled and log_evidence_increment
-                          [filter, time]; of NUTS ArviZ's own [chain, draw]; attributes: method, bound (1:
-                          log_evidence is a lower bound), of particle filters usable (0: log_evidence is none, and
-                          "doubt" says why) and guide, seconds (see :mod:`.registry`), and the method's own
-                          diagnostics
+                          [filter, time], the last of SMC² too; of NUTS ArviZ's own [chain, draw];
+                          attributes: method, bound (1: log_evidence is a lower bound), usable (0: log_evidence is
+                          none, and "doubt" says why), of particle filters guide, seconds (see :mod:`.registry`), and
+                          the method's own diagnostics
     observed_data         as posterior_predictive, without chain and draw
     constant_data         the model's parameters, and what else is known
 
@@ -56,6 +56,7 @@ def to_inference_data(
     statistics: Mapping[str, np.ndarray] | None = None,
     parameters: Mapping[str, Tensor] | None = None,
     log_weights: Tensor | None = None,
+    log_evidence_increment: Tensor | None = None,
 ) -> az.InferenceData:
     """Assemble InferenceData.
 
@@ -73,6 +74,7 @@ def to_inference_data(
         statistics: of each draw (M, R), for sample_stats, by the names that ArviZ knows.
         parameters: values (M, R, …) that differ between draws, which become variables of the posterior.
         log_weights: (M, R) of each draw; that of its chain by default.
+        log_evidence_increment: without ``result``: (T,) log p(y_t | y_{0:t−1}), whose sum is the log-evidence.
 
     Draws are equally weighted at last (:func:`equally_weighted`), by random numbers of torch's global generator.
     """
@@ -95,6 +97,9 @@ def to_inference_data(
             "resampled": (["filter", "time"], result.resampled.mT),
             "log_evidence_increment": (["filter", "time"], result.log_evidence_increment.mT),
         }
+    elif log_evidence_increment is not None:
+        rows = log_evidence_increment.expand(len(paths), -1)
+        stats["log_evidence_increment"] = (["filter", "time"], rows)
     stats |= {name: (DRAWS, values) for name, values in (statistics or {}).items()}
 
     own = {name: _of_draws(name, values, contents) for name, values in (parameters or {}).items()}
@@ -180,7 +185,7 @@ def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
 
 
 def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
-    """One posterior from several sets of filters of one recording, in order, outer weights made anew.
+    """One posterior from several sets of filters of one recording, in order, with new outer weights.
 
     Where the parts' bodies differ, their links' numbers become variables of the posterior.
     """

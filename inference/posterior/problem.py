@@ -4,7 +4,7 @@
     observations   (T, O), NaN where missing
 
 A problem also names what its posterior holds (:class:`Contents`), so that every method gives one layout
-(:mod:`.posterior`) whatever the model is. Here the states are named by number, or as the model names them;
+(:mod:`.posterior`) for any model. Here the states are named by number, or as the model names them;
 :class:`.initialise.Problem` names torques, angles and keypoints instead.
 
 Shapes: M chains, R draws of each, T rows, D states, O observed numbers a row.

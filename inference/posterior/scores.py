@@ -6,7 +6,7 @@ Gneiting & Raftery (2007), "Strictly proper scoring rules". For draws x_i of wei
     CRPS      Σ_i w_i |x_i − y| − Σ_ij w_i w_j |x_i − x_j| / (2 (1 − Σ w_i²))
     coverage  share of times at which y lies between the (1 ± p)/2 quantiles
 
-The CRPS, in the unit of y, is the absolute error of a point and rewards a spread that is neither too wide nor too
+The CRPS, in the unit of y, is the absolute error of a point and rewards a distribution that is neither too wide nor too
 narrow. The factor 1 − Σ w_i² makes it fair (Ferro 2014): without it few independent draws score worse than many of
 the same distribution. Sorted, the double sum is Σ_k x_k w_k (C_{k−1} + C_k − 1) with C_k = w_1 + … + w_k.
 
@@ -15,18 +15,16 @@ Shapes: draws (S, …), weights (S,), truth (…); all but S is scored entry by 
 
 import numpy as np
 
-ONE_DRAW = 1e-12
-"""1 − Σ w² under which all weight is on one draw, which has no spread."""
-
 
 def crps(draws: np.ndarray, weights: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Continuous ranked probability score (…), the smaller the better; NaN where ``truth`` is."""
     deviation, weights = _sorted(draws - truth, weights)
     error = (weights * np.abs(deviation)).sum(0)
     total = weights.cumsum(0)
-    spread = (deviation * weights * (2 * total - weights - 1)).sum(0)
+    scatter = (deviation * weights * (2 * total - weights - 1)).sum(0)
     distinct = 1 - (weights**2).sum(0)
-    return error - np.where(distinct > ONE_DRAW, spread / np.maximum(distinct, ONE_DRAW), 0.0)
+    one = 1e-12  # under which all weight is on one draw, which has no scatter
+    return error - np.where(distinct > one, scatter / np.maximum(distinct, one), 0.0)
 
 
 def quantile(draws: np.ndarray, weights: np.ndarray, levels: tuple[float, ...]) -> np.ndarray:

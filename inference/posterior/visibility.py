@@ -2,9 +2,9 @@
 
 A row's sensors tell a small turn dq by J dq / σ. J (O, K) are the slopes of what is seen in it: tracked sites, m/rad,
 pixels, px/rad, and encoders. Each is over its noise σ, which for pixels includes what lasts of a tracker's error. Of J
-/ σ = U diag(w) Vᵀ a direction v_i is told to 1 / w_i rad. Where that is more than ``BLUNT`` the direction is not seen,
-and a coordinate is not where such directions make up most of it: the twist of a last link, or of a straight arm, and a
-joint without keypoints beyond it. What a posterior says there is the prior's: its torque's stationary law and its
+/ σ = U diag(w) Vᵀ a direction v_i is known to 1 / w_i rad. Where that is more than ``UNSEEN_SD`` the direction is not
+seen, and a coordinate is not where such directions make up most of it: the twist of a last link, or of a straight arm,
+and a joint without keypoints beyond it. What a posterior says there is the prior's: its torque's stationary law and its
 start, which are proper, keep it bounded.
 
 Shapes: rows (T, O), K coordinates.
@@ -19,12 +19,8 @@ from torch.autograd.functional import jvp
 
 from invdyn.models.observation.observation import Observation
 
-BLUNT = 0.5
+UNSEEN_SD = 0.5
 """rad (m of slides) to which one row must tell a direction for it to be seen."""
-MOST = 0.5
-"""Share of a coordinate in unseen directions from which on it is not seen."""
-ALWAYS, SELDOM = 0.99, 0.01
-"""Shares of the rows."""
 
 
 def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -61,16 +57,16 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
     smallest = smallest[:, -1] if smallest.shape[-1] == K else np.zeros(len(rows))
     _, w, v = np.linalg.svd(torch.cat(sharp, -2).numpy()) if sharp else (0, np.zeros((len(rows), 0)), np.eye(K)[None])
     w = np.concatenate([w, np.zeros((len(rows), K - w.shape[1]))], -1)
-    share = ((w < 1 / BLUNT)[..., None] * v**2).sum(-2)
-    return smallest, share > MOST
+    share = ((w < 1 / UNSEEN_SD)[..., None] * v**2).sum(-2)
+    return smallest, share > 0.5  # more of a coordinate lies in unseen directions than in others
 
 
 def unseen_lines(unseen: np.ndarray, names: tuple[str, ...]) -> list[str]:
     """A sentence for each coordinate that is not seen (T, K) in some of the rows."""
     lines = []
     for name, share in zip(names, unseen.mean(0), strict=True):
-        if share >= ALWAYS:
+        if share >= 0.99:
             lines.append(f"{name}: no keypoint tells it: what is said of its motion and torque is the prior")
-        elif share > SELDOM:
+        elif share > 0.01:
             lines.append(f"{name}: no keypoint tells it in {share:.0%} of the rows: there the prior speaks")
     return lines

@@ -17,12 +17,18 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 from invdyn.inference.smoothing.square_root import apply
 from invdyn.models.divergence import Singular
 
-REFINEMENTS, SETTLED = 2, 1e-7
-"""Steps of refinement, and the relative size of the last one above which there are no digits to trust."""
 
-
-def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np.ndarray, m0: np.ndarray) -> np.ndarray:
-    """Posterior mean path (T, D).
+def chain_mean(
+    F: np.ndarray,
+    a: np.ndarray,
+    L: np.ndarray,
+    E: np.ndarray,
+    e: np.ndarray,
+    m0: np.ndarray,
+    refinements: int = 2,
+    tolerance: float = 1e-7,
+) -> np.ndarray:
+    """Posterior mean path (T, D), after ``refinements`` steps, the last of a relative size of ``tolerance`` at most.
 
     Raises Singular where there is no band Cholesky factor: a state without noise, or a condition beyond repair.
     """
@@ -52,27 +58,27 @@ def chain_mean(F: np.ndarray, a: np.ndarray, L: np.ndarray, E: np.ndarray, e: np
 
     chain = apply(inverse, np.concatenate([m0[None], a]))
     x = solved(chain, e)
-    for _ in range(REFINEMENTS):
+    for _ in range(refinements):
         own, seen = rows(x)
         step = solved(chain - own, e - seen)
         x = x + step
     # Columns have length one: a state's standard deviation is at least about that, and less than that is no error.
-    if not np.linalg.norm(step / unit) <= SETTLED * (1 + np.linalg.norm(x / unit)):
+    if not np.linalg.norm(step / unit) <= tolerance * (1 + np.linalg.norm(x / unit)):
         raise Singular("refinement does not settle")
     return x
 
 
-def _band(within: np.ndarray, beside: np.ndarray, unit: np.ndarray) -> np.ndarray:
+def _band(within: np.ndarray, off_diagonal: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Lower band (2D, T·D) of a scaled block-tridiagonal matrix: its blocks (T, D, D), and those below (T−1, D, D)."""
     steps, dim = unit.shape
     within = within * unit[:, :, None] * unit[:, None, :]
-    beside = beside * unit[1:, :, None] * unit[:-1, None, :]
+    off_diagonal = off_diagonal * unit[1:, :, None] * unit[:-1, None, :]
     band = np.zeros((2 * dim, steps * dim))
     first = np.arange(steps)[:, None] * dim
     row, column = np.tril_indices(dim)
     band[row - column, first + column] = within[:, row, column]
     row, column = np.indices((dim, dim)).reshape(2, -1)
-    band[dim + row - column, first[:-1] + column] = beside[:, row, column]
+    band[dim + row - column, first[:-1] + column] = off_diagonal[:, row, column]
     return band
 
 

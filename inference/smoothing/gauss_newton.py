@@ -8,7 +8,7 @@ transition and the emission are linearised (:mod:`.linearisation`),
     x_{t+1} ≈ f(x̄_t) + F_t (x_t − x̄_t) + L w,     W_t (y_t − h(x̄_t) − H_t (x_t − x̄_t)) ~ N(0, I),
 
 and the linear problem is solved exactly, by one band Cholesky factor a chain (:mod:`.banded`) where the mean is all
-that is asked for, by the recursions of :mod:`.square_root` where factors are. A step d that does not raise log p(x, y)
+that is needed, by the recursions of :mod:`.square_root` where factors are. A step d that does not raise log p(x, y)
 is corrected to second order: nearly deterministic dynamics are hurt by their own bend, which a touch of torque would
 mend (the Maratos effect; Nocedal & Wright, "Numerical Optimization", 2006, sections 15.6 and 18.3). The linear problem
 is solved once more with what the transition is truly off there, less the slopes' share,
@@ -144,7 +144,7 @@ def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:
         relaxed = model.relaxed(amount)
         if relaxed is model:
             return path[0]
-        # Candidates part ways in how often they wind round, and what strays leads some astray: two are plain at once.
+        # Candidates part ways in how often they wind round, and outliers mislead some: two are clearly best at once.
         for count, steps in ((2, 1), (1, 3)) if path.ndim == 3 else ():
             path, merit, *_ = _ascend(relaxed, observations, path, max_iterations=steps, tolerance=1.0)
             path = path[merit.nan_to_num(-torch.inf).argsort(descending=True, stable=True)[:count]]
@@ -162,7 +162,7 @@ def _ascend(
 ) -> tuple[Tensor, Tensor, Tensor, Linearisation | None]:
     """Damped Gauss–Newton steps from ``path``; returns path, log-joint, converged, and the linearisation if it has it.
 
-    Slopes are asked for only where a step begins: those that are refused, and the last one, need none.
+    Slopes are computed only where a step begins: those that are refused, and the last one, need none.
     """
     batch = path.shape[:-2]
     scale = gaussian_moments(model.initial())[1]
@@ -208,10 +208,10 @@ def _tried(
     damping: np.ndarray,
     scale: np.ndarray,
 ) -> tuple[np.ndarray, Tensor, Deviations, np.ndarray]:
-    """The step from ``path`` that ``linear`` asks for, where it leads, what is off there, and log p(x, y) (…)."""
+    """The step from ``path`` of ``linear``, the path after it, what is off there, and log p(x, y) (…)."""
     with np.errstate(over="ignore", invalid="ignore"):
         step = mean_step(linear, damping, scale)
-    # A step that is not finite is refused, and no model is asked about it: one that checks its values would raise.
+    # A step that is not finite is refused, and the model is not evaluated there: it may check its values and raise.
     finite = np.isfinite(step).all((-2, -1))
     step = np.where(finite[..., None, None], step, 0.0)
     candidate = settled(model, path + torch.as_tensor(step))

@@ -5,7 +5,7 @@ Gaussian Markov chain. In deviations from its mean path μ_t,
 
     δ_0 = L_0 ε_0,     δ_t = A_t δ_{t−1} + L_t ε_t,     ε ~ N(0, I),     x = μ + δ,
 
-with A_t = gain_t F_{t−1} and L_t L_tᵀ = root_t root_tᵀ + (gain_t spread_{t−1})(…)ᵀ from
+with A_t = gain_t F_{t−1} and L_t L_tᵀ = root_t root_tᵀ + (gain_t error_root_{t−1})(…)ᵀ from
 :class:`.square_root.BackwardFactors`. Draws are exact forward samples of that chain. It whitens NUTS
 (:mod:`invdyn.inference.mcmc.nuts`) and starts the variational guides (:mod:`invdyn.inference.variational.path_guides`).
 
@@ -64,7 +64,7 @@ class GaussianChain(TorchDistribution):
 
     @cached_property
     def _composed(self) -> list[Tensor]:
-        """Of gains that nobody learns: one chain gives a path in every step of a guide's ascent, or of NUTS."""
+        """Of gains that are not learned: one chain gives a path in every step of a guide's ascent, or of NUTS."""
         return composed(self.gain)
 
     def noise(self, path: Tensor) -> Tensor:
@@ -111,8 +111,8 @@ class GaussianChain(TorchDistribution):
         gain, root = np.zeros_like(factors.gain), factors.root
         gain[1:] = factors.gain[1:] @ factors.F
         if factors.error_root.shape[-1]:
-            spread = factors.gain[1:] @ factors.error_root
-            root = np.concatenate([root, np.pad(spread, [(1, 0), (0, 0), (0, 0)])], -1)
+            scattered = factors.gain[1:] @ factors.error_root
+            root = np.concatenate([root, np.pad(scattered, [(1, 0), (0, 0), (0, 0)])], -1)
         # Orthogonal triangularisation, as a Cholesky of the covariance would lose half the digits.
         lower = np.swapaxes(np.linalg.qr(np.swapaxes(root, -1, -2), mode="r"), -1, -2)
         lower = lower * np.where(np.diagonal(lower, axis1=-2, axis2=-1) < 0, -1.0, 1.0)[:, None, :]

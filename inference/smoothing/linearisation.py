@@ -6,8 +6,8 @@ At a path x̄ the transition f and the emission h are
 
 with slopes F and H by differences; rows of an emission whose noise depends on the state, or that is neither Gaussian
 nor Student-t, are those of a Newton step on log g itself (:mod:`.newton_rows`). What the path itself is off,
-a = f(x̄_t) − x̄_{t+1} and e = W (y − h(x̄)), takes a quarter of the work, and tells log p(x̄, y) exactly: it is all that a
-search for a path needs of a step that it refuses.
+a = f(x̄_t) − x̄_{t+1} and e = W (y − h(x̄)), takes a quarter of the work, and tells log p(x̄, y) exactly: it is all
+that a search for a path needs of a step that it refuses.
 
 Shapes: observations (T, O), path (…, T, D); the leading dimensions are many parameter sets of
 one model, each with its own path. All in float64.
@@ -28,10 +28,10 @@ from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_m
 
 NUDGE, JUMP = 1e-6, 1e-6
 """Of every state for its slopes, in its standard deviations at the first row; and as it is, of a model with jumps."""
-WIDE, SLIGHT, LEAST = 12, 3e-8, 0.1
+ONE_SIDED_FROM, ONE_SIDED_NUDGE, MIN_SD = 12, 3e-8, 0.1
 """States from which differences are one-sided: half of a work that grows with their square, for seven digits instead of
 ten. The nudge is then near the root of float64's rounding, where that and curvature do equal harm, in standard
-deviations that count as ``LEAST`` (rad, rad/s, N·m) at least."""
+deviations that count as ``MIN_SD`` (rad, rad/s, N·m) at least."""
 
 
 @dataclass
@@ -146,54 +146,54 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
 
     The emission's are those of its mean; empty, (…, T, 0, D), unless ``by_mean``.
 
-    Central ones, of an error of ``NUDGE``²; one-sided ones of ``WIDE`` models, and of those with ``jumping`` states,
-    which lie at stops.
+    Central ones, of an error of ``NUDGE``²; one-sided ones from ``ONE_SIDED_FROM`` states on, and with ``jumping``
+    states, which lie at stops.
     """
     rows = torch.arange(path.shape[-2])
     scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
-    central = path.shape[-1] < WIDE
+    central = path.shape[-1] < ONE_SIDED_FROM
     nudges = torch.where(scale > 0, scale, 1.0)
-    nudges = NUDGE * nudges if central else SLIGHT * nudges.clamp_min(LEAST)
-    lone, shown = model.lone or ([], [])
+    nudges = NUDGE * nudges if central else ONE_SIDED_NUDGE * nudges.clamp_min(MIN_SD)
+    independent, shown = model.independent_sensor_states or ([], [])
 
     def transition(x: Tensor) -> Tensor:
         return gaussian_mean(model.transition(x, rows[1:]))
 
     H = path.new_zeros(*path.shape[:-1], 0, path.shape[-1])
     if by_mean:
-        H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, lone, shown, central)
+        H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, independent, shown, central)
     if model.jumping is not None:
         nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
-    return _differences(transition, path[..., :-1, :], nudges, lone, lone, central), H
+    return _differences(transition, path[..., :-1, :], nudges, independent, independent, central), H
 
 
 def _differences(
     function: Callable[[Tensor], Tensor],
     x: Tensor,
     nudges: Tensor,
-    lone: list[int],
+    independent: list[int],
     shown: list[int],
     central: bool,
 ) -> Tensor:
     """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by ``nudges`` (D,) of one argument after the other.
 
-    The ``lone`` ones are nudged all at once: each changes an entry of its own, which ``shown`` says.
+    The ``independent`` ones are nudged all at once: each changes an entry of its own, which ``shown`` says.
     """
-    others = [k for k in range(len(nudges)) if k not in set(lone)]
+    others = [k for k in range(len(nudges)) if k not in set(independent)]
     steps = torch.diag(nudges)[others]
-    if lone:
+    if independent:
         steps = torch.cat(
-            [steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(lone), nudges[lone][None])]
+            [steps, steps.new_zeros(1, len(nudges)).index_copy(1, torch.tensor(independent), nudges[independent][None])]
         )
     steps = steps.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
     values = function(x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])]))
     change = (values[: len(steps)] - values[len(steps) :]) / (1 + central)
     own = (change[: len(others)] / nudges[others].reshape(-1, *[1] * x.ndim)).movedim(0, -1)
-    if not lone:
+    if not independent:
         return own
     slopes = own.new_zeros(*own.shape[:-1], len(nudges))
     slopes[..., others] = own
-    slopes[..., shown, lone] = change[-1][..., shown] / nudges[lone]
+    slopes[..., shown, independent] = change[-1][..., shown] / nudges[independent]
     return slopes
 
 
@@ -216,13 +216,13 @@ def linearise(
 
 
 def seen_as(linear: Linearisation, rows: SeenRows, H: Tensor) -> Linearisation:
-    """``linear`` of a model that moves alike, but takes what is seen for ``rows``; H (…, T, O, D) are its slopes."""
+    """``linear`` of a model with the same transitions, with observations ``rows`` of slopes H (…, T, O, D)."""
     E = rows.on_state(H).numpy()
     return replace(linear, E=E, e=rows.e, log_constant=rows.log_constant, rows=rows)
 
 
 def log_joint(here: Deviations) -> np.ndarray:
-    """Log p(x̄, y) (…) of a path: exact, whatever lies beside it."""
+    """Log p(x̄, y) (…) of a path: exact, not linearised."""
     driven = np.concatenate([here.m0[..., None, :], here.a], -2)
     still = np.diagonal(here.L, axis1=-2, axis2=-1) == 0
     with np.errstate(all="ignore"):  # a path may have run away, or have no density

@@ -70,7 +70,7 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
     shift = forward_mean(solve(linear), linear.m0)
     path = smoother.path + torch.as_tensor(shift)
     if not bool(torch.isfinite(path).all()):
-        raise Singular("the pass ran away")  # before a model that checks its values is asked about them
+        raise Singular("the pass ran away")  # before a model that checks its values is evaluated there
     # Coordinates are deviations from the path that was fitted along: move them to the new one.
     linear = _recentred(linear, shift)
     factors = solve(linear)
@@ -81,7 +81,7 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
 
 
 @dataclass(frozen=True)
-class Alike:
+class SharedMeans:
     """A model of B parameter sets by fewer, U, that have the same means: a noise scale, say, moves none.
 
     ``number`` (B,) is that of each set's mean among the U; None where each has its own.
@@ -90,12 +90,14 @@ class Alike:
     model: StateSpaceModel
     number: Tensor | None = None
 
-    def regressed(self, mean: Mean, centre: Tensor, root: Tensor, lone: Sequence[int], shown: Sequence[int]) -> Fits:
+    def regressed(
+        self, mean: Mean, centre: Tensor, root: Tensor, independent: Sequence[int], shown: Sequence[int]
+    ) -> Fits:
         """:func:`_regress` of a ``mean`` of the model, over the same N(centre, root rootᵀ) in all sets."""
         if self.number is None:
-            return _regress(lambda x: mean(self.model, x), centre, root, lone, shown)
+            return _regress(lambda x: mean(self.model, x), centre, root, independent, shown)
         sets = int(self.number.max()) + 1
-        value, slope, error = _regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], lone, shown)
+        value, slope, error = _regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], independent, shown)
         return value[self.number], slope[self.number], error[self.number]
 
 
@@ -104,20 +106,20 @@ def fit_linear(
     observations: Tensor,
     path: Tensor,
     covariance: Tensor,
-    moved: Alike | None = None,
-    seen: Alike | None = None,
+    moved: SharedMeans | None = None,
+    seen: SharedMeans | None = None,
 ) -> Linearisation:
     """Best linear model over N(path, covariance), (…, T, D) and (…, T, D, D), in deviations from path.
 
     Where N is one and the same in B parameter sets, (B, T, …), ``moved`` and ``seen`` may say which of them have the
     same transitions' and emissions' means, whose fits are most of the work (:func:`moved_means`).
     """
-    predicted, F, V = _transitions(moved or Alike(model), path, covariance)
+    predicted, F, V = _transitions(moved or SharedMeans(model), path, covariance)
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, torch.arange(path.shape[-2]))
     if keeps_noise(model, path, emission):
-        E, e, constant = _about_mean(seen or Alike(model), emission, observations, path, covariance)
+        E, e, constant = _about_mean(seen or SharedMeans(model), emission, observations, path, covariance)
     else:
         E, e, constant = averaged_newton_rows(model, path, _root(covariance), observations)
     pieces = (F, predicted - path[..., 1:, :], L, E, e, m0, constant.sum(-1), V)
@@ -125,18 +127,20 @@ def fit_linear(
     return Linearisation(F_, a, L_, E_, e_, m0_, log_constant, V_)
 
 
-def _about_mean(alike: Alike, emission: Distribution, observations: Tensor, path: Tensor, covariance: Tensor) -> Fits:
+def _about_mean(
+    shared: SharedMeans, emission: Distribution, observations: Tensor, path: Tensor, covariance: Tensor
+) -> Fits:
     """Rows E (…, T, O, D), e (…, T, O) and constants (…, T) of an ``emission`` along path, about its mean."""
-    h, H, error = _emissions(alike, path, covariance)
+    h, H, error = _emissions(shared, path, covariance)
     with torch.no_grad():
         whitening, constant = gaussian_rows(emission, observations)
         observations = explained(emission, observations)
     if whitening.ndim == H.ndim - 1:
         whitening = torch.diag_embed(whitening)
     # W R Wᵀ = I where seen; with the fit's error the noise is I + (W Ω^½)(W Ω^½)ᵀ.
-    spread = whitening @ error
-    eye = torch.eye(spread.shape[-2], dtype=spread.dtype)
-    tril = torch.linalg.cholesky(eye + spread @ spread.mT)
+    scaled = whitening @ error
+    eye = torch.eye(scaled.shape[-2], dtype=scaled.dtype)
+    tril = torch.linalg.cholesky(eye + scaled @ scaled.mT)
     whitening = torch.linalg.solve_triangular(tril, whitening, upper=False)
     constant = constant - torch.log(tril.diagonal(dim1=-2, dim2=-1)).sum(-1)
     residual = torch.where(torch.isnan(observations), 0.0, observations - h).unsqueeze(-1)
@@ -145,48 +149,48 @@ def _about_mean(alike: Alike, emission: Distribution, observations: Tensor, path
 
 def moved_means(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
     """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has."""
-    fits = [_transitions(Alike(model), path, covariance)]
+    fits = [_transitions(SharedMeans(model), path, covariance)]
     with torch.no_grad():
         emission = model.emission(path, torch.arange(path.shape[-2]))
     if not keeps_noise(model, path, emission):
         moved = torch.stack([(each != each[:1]).flatten(1).any(1) for each in fits[0]]).any(0)
         return moved, torch.ones_like(moved)
-    fits.append(_emissions(Alike(model), path, covariance))
+    fits.append(_emissions(SharedMeans(model), path, covariance))
     moved, seen = (torch.stack([(each != each[:1]).flatten(1).any(1) for each in pieces]).any(0) for pieces in fits)
     return moved, seen
 
 
-def _transitions(alike: Alike, path: Tensor, covariance: Tensor) -> Fits:
+def _transitions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:
     rows = torch.arange(1, path.shape[-2])
-    lone, _ = alike.model.lone or ([], [])
-    root = _root_of_others(covariance, lone)[..., :-1, :, :]
-    return alike.regressed(
-        lambda model, x: gaussian_mean(model.transition(x, rows)), path[..., :-1, :], root, lone, lone
+    independent, _ = shared.model.independent_sensor_states or ([], [])
+    root = _root_of_others(covariance, independent)[..., :-1, :, :]
+    return shared.regressed(
+        lambda model, x: gaussian_mean(model.transition(x, rows)), path[..., :-1, :], root, independent, independent
     )
 
 
-def _emissions(alike: Alike, path: Tensor, covariance: Tensor) -> Fits:
+def _emissions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:
     rows = torch.arange(path.shape[-2])
-    lone, shown = alike.model.lone or ([], [])
-    root = _root_of_others(covariance, lone)
-    return alike.regressed(lambda model, x: emission_mean(model, x, rows), path, root, lone, shown)
+    independent, shown = shared.model.independent_sensor_states or ([], [])
+    root = _root_of_others(covariance, independent)
+    return shared.regressed(lambda model, x: emission_mean(model, x, rows), path, root, independent, shown)
 
 
 def _regress(
     function: Callable[[Tensor], Tensor],
     mean: Tensor,
     root: Tensor,
-    lone: Sequence[int] = (),
+    independent: Sequence[int] = (),
     shown: Sequence[int] = (),
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Linear fit over N(mean, root rootᵀ): value (…, P) at the mean, slope (…, P, D), error (…, P, D).
 
-    ``root`` is of all arguments but the ``lone`` ones, each of which changes an entry of its own, ``shown``.
+    ``root`` is of all arguments but the ``independent`` ones, each of which changes an entry of its own, ``shown``.
     """
-    others = [k for k in range(mean.shape[-1]) if k not in set(lone)]
+    others = [k for k in range(mean.shape[-1]) if k not in set(independent)]
     dim = len(others)
     columns = root.mT.movedim(-2, 0) * dim**0.5  # (D, …, D)
-    if lone:
+    if independent:
         columns = columns.new_zeros(*columns.shape[:-1], mean.shape[-1]).index_copy(-1, torch.tensor(others), columns)
     with torch.no_grad():
         plus, minus = function(mean + columns), function(mean - columns)
@@ -195,25 +199,25 @@ def _regress(
     average = even.mean(0)
     error = (even - average).movedim(0, -1) / dim**0.5
     slope = torch.linalg.solve_triangular(root, odd, upper=False, left=False)
-    if not lone:
+    if not independent:
         return average, slope, error
-    unit = mean.new_zeros(mean.shape[-1]).index_fill(0, torch.tensor(lone), 1.0)
+    unit = mean.new_zeros(mean.shape[-1]).index_fill(0, torch.tensor(independent), 1.0)
     with torch.no_grad():
         change = (function(mean + unit) - function(mean - unit))[..., list(shown)] / 2
     whole = slope.new_zeros(*slope.shape[:-1], mean.shape[-1])
     whole[..., others] = slope
-    whole[..., list(shown), list(lone)] = change
+    whole[..., list(shown), list(independent)] = change
     return average, whole, error
 
 
-def _root_of_others(covariance: Tensor, lone: Sequence[int]) -> Tensor:
-    """What lone states add is linear: over them there is nothing to fit, and nothing of them in the rest."""
-    others = [k for k in range(covariance.shape[-1]) if k not in set(lone)]
-    return _root(covariance[..., others, :][..., others] if lone else covariance)
+def _root_of_others(covariance: Tensor, independent: Sequence[int]) -> Tensor:
+    """What independent states add is linear: over them there is nothing to fit, and nothing of them in the rest."""
+    others = [k for k in range(covariance.shape[-1]) if k not in set(independent)]
+    return _root(covariance[..., others, :][..., others] if independent else covariance)
 
 
 def _root(covariance: Tensor) -> Tensor:
-    """Cholesky factor; a relative floor keeps directions without spread differentiable."""
+    """Cholesky factor; a relative floor keeps directions without scatter differentiable."""
     diagonal = covariance.diagonal(dim1=-2, dim2=-1)
     scale = diagonal.clamp_min(1e-18).sqrt()
     correlation = covariance / (scale.unsqueeze(-1) * scale.unsqueeze(-2))

@@ -18,7 +18,7 @@ Backwards in time, everything that rows t … T−1 say about x_t is one Gaussia
     ∫ N(x'; m, L Lᵀ) ψ(x') dx' = exp(c − ½|A m − α|²) / |det R|
     w given m  ~  N(R⁻¹(r − B m), (RᵀR)⁻¹)
 
-and the second eliminates v and folds in the rows E_t; its residual ρ goes to c:
+and the second eliminates v and folds in the rows E_t; its residual ρ is added to c:
 
     [ I      0     | 0       ]        [ S   C | s ]
     [ A V    A F   | α − A a ]  =  Q  [ 0   U | b ]      (columns: v, x | right-hand side)
@@ -122,13 +122,13 @@ def backward(
     log_n = np.cumsum((folded + integrated)[..., ::-1], -1)[..., ::-1].copy()  # torch takes no negative strides
     log_c = log_n - integrated
     gain, offset, root = conditional(R, B, r, L)
-    spread = np.zeros((*batch, steps - 1, dim, 0))
+    scattered = np.zeros((*batch, steps - 1, dim, 0))
     if extra:
-        spread = V @ np.linalg.inv(S)
-        F, a = F - spread @ C, a + apply(spread, s)
+        scattered = V @ np.linalg.inv(S)
+        F, a = F - scattered @ C, a + apply(scattered, s)
     misfit = apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
     log_evidence = log_n[..., 0] - 0.5 * (misfit**2).sum(-1)
-    return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, spread, log_evidence)
+    return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, scattered, log_evidence)
 
 
 def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -178,7 +178,7 @@ def forward_mean(factors: BackwardFactors, m0: np.ndarray) -> np.ndarray:
 
 
 def forward_covariance(factors: BackwardFactors) -> np.ndarray:
-    """Posterior marginal covariances (…, T, D, D); sums of squares, hence never indefinite."""
+    """Posterior marginal covariances (…, T, D, D); sums of squares, so never indefinite."""
     covariance = square(factors.root)
     covariance[..., 1:, :, :] += square(factors.gain[..., 1:, :, :] @ factors.error_root)
     step = factors.gain[..., 1:, :, :] @ factors.F

@@ -10,7 +10,7 @@ in terms of the transition's own standard noise w ~ N(0, I), so that
 
     log p(x_t | x_{t−1})/q(x_t) = ½|ε|² − ½|w|² + Σ s_t + log|S_t|,   z = C m̃ + c + e^s ε,
 
-holds for a singular L too, and whatever parameters of the model are learned beside the guide's. The twist stays
+holds for a singular L too, and for parameters of the model that are learned with the guide's. The twist stays
 the smoother's: unbiased with any.
 
 Parameters are ``pyro.param`` "<name>.…", each one tensor over all rows; used outside of
@@ -56,7 +56,7 @@ class Affine(Proposal):
 
     Args:
         model: with Gaussian transition noise whose covariance does not depend on the state.
-        path: (T, D) to linearise along at first; by default the prior mean, held.
+        path: (T, D) to linearise along at first; by default the prior mean, constant.
         name: prefix of the parameters "<name>.matrix" (T, D, D), "<name>.offset" and "<name>.scale" (T, D).
             Row 0 has no state before, and its matrix is not used.
     """

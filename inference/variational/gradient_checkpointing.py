@@ -1,4 +1,4 @@
-"""A function whose graph is not kept but made anew on the way back: memory for the price of a second forward pass.
+"""A function whose graph is not kept but computed again on the way back: memory for the price of a second forward pass.
 
 :func:`torch.utils.checkpoint.checkpoint` keeps the nodes of the graph, if not their tensors: with small particles
 that is most of the memory, and its hooks double the time.

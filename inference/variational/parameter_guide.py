@@ -36,8 +36,8 @@ class Uncertain(StateSpaceModel):
         self.num_steps, self.jumping = model.num_steps, model.jumping
         self.log_parameters, self.centre, self.root = parameters, centre, root
         inverse = torch.linalg.inv(root)
-        spread = inverse * torch.as_tensor(parameters.sd)
-        self.prior = MultivariateNormal(-inverse @ centre, spread @ spread.mT)
+        scaled = inverse * torch.as_tensor(parameters.sd)
+        self.prior = MultivariateNormal(-inverse @ centre, scaled @ scaled.mT)
 
     def phi(self, u: Tensor) -> Tensor:
         """Log-parameters (…, P) at u (…, P)."""
@@ -61,7 +61,7 @@ class Uncertain(StateSpaceModel):
 
 
 class Following(Corrected):
-    """The corrected guide of whatever parameters are drawn, and the q(u) that they are drawn from.
+    """The corrected guide of the parameters that are drawn, and the q(u) that they are drawn from.
 
     Args:
         model, observations, smoother: as for :class:`Corrected`; the smoother stands in where none can be made.

@@ -16,13 +16,6 @@ from invdyn.inference.execution.progress import Progress
 from invdyn.inference.variational.path_guides import PathGuide
 from invdyn.models import StateSpaceModel
 
-WINDOW = 100
-"""Steps over which the bound is averaged."""
-
-
-CUTS = 4
-"""Cuts of the learning rate, after which its noise in thousands of parameters is worth a fraction of a nat."""
-
 
 def path_model(model: StateSpaceModel, observations: Tensor) -> Callable[[], None]:
     """The Pyro model of ``model.sequence`` with the path (…, T, D) as one site, "path": for ``PathGuide()``."""
@@ -42,12 +35,15 @@ def maximise(
     num_particles: int = 16,
     learning_rate: float = 0.03,
     max_steps: int = 3000,
+    window: int = 100,
+    max_cuts: int = 4,
     progress: Progress | None = None,
 ) -> tuple[int, bool]:
     """Ascend the bound by Adam; returns steps taken, and whether it converged.
 
-    When the average bound of a window of steps is not above the one before by more than its own Monte
-    Carlo error, the learning rate is cut to a quarter; after ``CUTS`` cuts the ascent has converged.
+    When the average bound of a ``window`` of steps is not above the one before by more than its own Monte
+    Carlo error, the learning rate is cut to a quarter; after ``max_cuts`` cuts, where its noise in thousands of
+    parameters is worth a fraction of a nat, the ascent has converged.
     """
     elbo = Trace_ELBO(num_particles=num_particles, vectorize_particles=num_particles > 1, max_plate_nesting=0)
     adam = torch.optim.Adam(guide.parameters(), lr=learning_rate, betas=(0.9, 0.99))
@@ -60,14 +56,14 @@ def maximise(
         bounds.append(-loss.detach())
         if progress is not None:
             progress(step, max_steps, "svi")
-        if step % WINDOW == 0:
-            recent = torch.stack(bounds[-WINDOW:])
-            average, error = recent.mean().item(), recent.std().item() / WINDOW**0.5
+        if step % window == 0:
+            recent = torch.stack(bounds[-window:])
+            average, error = recent.mean().item(), recent.std().item() / window**0.5
             if average < best + error:
                 cuts += 1
                 adam.param_groups[0]["lr"] /= 4
             best = max(best, average)
-            if cuts == CUTS:
+            if cuts == max_cuts:
                 return step, True
     return max_steps, False
 

@@ -16,8 +16,8 @@ Both start at the Gaussian smoother, and their means move in its whitened coordi
 
 (S: the smoother's sds), so that one learning rate suits angles known to a millionth and torques in N·m.
 
-A guide offers two forms of one distribution: ``guide()`` samples the whole path at one site, which goes with
-:func:`.path_bound.path_model` and is fast; ``guide.sequence()`` samples sites x_0 … x_{T−1}, and goes with
+A guide offers two forms of one distribution: ``guide()`` samples the whole path at one site, which fits
+:func:`.path_bound.path_model` and is fast; ``guide.sequence()`` samples sites x_0 … x_{T−1}, and fits
 ``model.sequence`` under :func:`pyro.markov`.
 """
 
@@ -97,7 +97,7 @@ class PathGuide(nn.Module):
 
 
 class MeanField(PathGuide):
-    """Independent Gaussians, begun at the best ones for the linearised model."""
+    """Independent Gaussians, started at the best ones for the linearised model."""
 
     def __init__(self, smoother: GaussianSmoother):
         super().__init__(smoother)
@@ -114,7 +114,7 @@ class MeanField(PathGuide):
 
 
 class Markov(PathGuide):
-    """Gaussian Markov chain, begun at the smoother's own."""
+    """Gaussian Markov chain, started at the smoother's own."""
 
     def __init__(self, smoother: GaussianSmoother):
         super().__init__(smoother)

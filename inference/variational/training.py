@@ -1,6 +1,6 @@
 """Steps of SVI that can be interrupted: Pyro's parameters, its optimiser and random numbers, in a checkpoint.
 
-What goes on from a checkpoint ends where it would have ended, to the bit: the parameters' unconstrained values, each
+What continues from a checkpoint ends where it would have ended, to the bit: the parameters' unconstrained values, each
 one's moments and learning rate, and the state of torch's generators are all that a step hands to the next.
 """
 

@@ -82,7 +82,7 @@ class VSMC_ELBO(ELBO):
     :class:`StateSpaceModel` itself: its learned parameters become ``pyro.param``. Its ``guide`` is a
     :class:`Proposal`; one with a method ``sampled(model)`` (:mod:`.affine`) brings ``pyro.param`` of its own.
     Parameters with priors are drawn once an evaluation by ``guide.parameters()``, a Pyro function with sites of
-    the same names, whose log p(θ)/q(θ) joins the bound; without it, from their priors, which is a loose bound.
+    the same names, whose log p(θ)/q(θ) joins the bound; without it, from their priors, which is a weak bound.
 
     Args:
         num_particles: N.
@@ -91,10 +91,10 @@ class VSMC_ELBO(ELBO):
         resampling: a scheme of :mod:`.resampling`; "score" needs "multinomial".
         gradient: see the table at the top; "dropped" where only a guide is trained.
         softness: 1 − α of "soft", the share of the uniform in what ancestors are drawn from; in (0, 1].
-        regularisation: ε of "transport", relative to the particles' spread; small is less biased and slower.
+        regularisation: ε of "transport", relative to the particles' scatter; small is less biased and slower.
         synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs it;
             by default on a CPU.
-        chunk: rows whose graph is held at once: each stretch of them is computed a second time on the way back, and
+        chunk: rows whose graph is in memory: each stretch of them is computed a second time on the way back, and
             of the others only the first row's particles are kept. None holds all. The gradient is the same.
 
     Raises ValueError for values that are none of these, when made; TypeError for another model or guide, ModelError
@@ -278,7 +278,7 @@ def _centred(log_evidence: Tensor) -> Tensor:
     return fixed if size == 1 else (fixed - fixed.mean()) * (size / (size - 1))
 
 
-# -- a stretch of rows whose graph is made anew on the way back ----------------------------------
+# -- a stretch of rows whose graph is computed again on the way back ----------------------------------
 Advance = Callable[[range, _Carried, dict[str, Tensor]], _Carried]
 
 

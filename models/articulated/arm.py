@@ -334,8 +334,8 @@ class ArmModel(StateSpaceModel):
         return super().initial_paths(observations) if paths is None else paths
 
     @property
-    def lone(self) -> tuple[list[int], list[int]] | None:
-        """The sensors' own states that show in one entry; see :attr:`.StateSpaceModel.lone`."""
+    def independent_sensor_states(self) -> tuple[list[int], list[int]] | None:
+        """The sensors' own states that show in one entry; see :attr:`.StateSpaceModel.independent_sensor_states`."""
         own, shown = self.observation.independent_states
         begun = self.layout.torque + self.layout.hidden
         return ([begun + state for state in own], shown) if own else None

@@ -13,7 +13,7 @@ over any step,
 with β = "emission.bias_scale" (C, P) px and ℓ = "emission.bias_time" (1,) s. (As a constant it would not drift, and
 intervals of lengths would be too narrow; marginalised, it would correlate all rows, which a filter cannot handle. A
 latent state keeps both the intervals and the recursions, and its derivatives cost nothing: see
-`StateSpaceModel.lone`.)
+`StateSpaceModel.independent_sensor_states`.)
 
 A keypoint that one camera sees counts, and one that is missing (NaN) has no term. Where by the model a camera cannot
 see a point, its pixel is of something else, anywhere in the picture.

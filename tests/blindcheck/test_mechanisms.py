@@ -49,7 +49,7 @@ def residual(real, ideal):
 
 
 def close(torque, expected, rtol=1e-3):
-    """Alike to rtol of the largest, in every joint."""
+    """SharedMeans to rtol of the largest, in every joint."""
     np.testing.assert_allclose(torque, expected, atol=rtol * np.abs(expected).max())
 
 

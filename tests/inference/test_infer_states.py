@@ -14,6 +14,7 @@ from invdyn.inference.contract import ModelError
 from invdyn.inference.infer_states import generic_methods
 from invdyn.inference.methods.registry import PARAMETER_METHODS, WITHOUT_EVIDENCE
 from invdyn.models import StateSpaceModel
+from invdyn.recordings import InputError
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto:UserWarning"),
@@ -149,6 +150,11 @@ def test_parameters_with_priors_are_learned(method):
     assert float(drawn.std()) == pytest.approx(sd, rel=4 / np.sqrt(size))
     evidence = kalman(wide, rows)[0]
     assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=4 * idata.attrs["log_evidence_sd"] + 0.02)
+    assert idata["sample_stats"].attrs["usable"] == 1
+    if method == "smc2":
+        increments = idata["sample_stats"]["log_evidence_increment"]
+        assert increments.sizes["time"] == T
+        assert increments.sum("time").values == pytest.approx(idata.attrs["log_evidence"])
 
     # States belong to the parameters of their draw.
     assert idata["posterior"]["state"].shape[2:] == (T, 1)
@@ -223,6 +229,26 @@ def test_methods_in_one_table(linear):
     assert 30 < table.loc["laplace", "ess_bulk"] < 110
 
 
+def test_sizes_reach_methods_that_learn_parameters(linear, tmp_path):
+    """And a comparison continues from its checkpoint."""
+    model, rows, *_ = linear
+    uncertain = model.with_priors(mean=Normal(torch.zeros(D, dtype=torch.float64), 1.0).to_event(1))
+    few = {"pmmh": {"num_warmup": 4, "evidence_draws": 20}, "smc2": {"num_moves": 1, "max_particles": 10}}
+
+    def run(**given):
+        sizes = {"num_filters": 2, "num_particles": 10, "num_draws": 40}
+        return compare_methods(uncertain, rows, ["pmmh", "smc2"], arguments=few, checkpoint=tmp_path, **sizes, **given)
+
+    found = run()
+    assert found.failures == {}
+    for idata in found.posteriors.values():
+        assert dict(idata["posterior"].sizes) | {"chain": 2, "draw": 40} == dict(idata["posterior"].sizes)
+        assert idata["sample_stats"].attrs["num_particles"] == 10
+    assert run().table.equals(found.table)  # the seconds too: nothing was run again
+    with pytest.raises(InputError, match="another run"):
+        run(seed=1)
+
+
 def test_a_method_that_fails_leaves_its_reason(linear):
     model, rows, *_ = linear
     found = compare_methods(model, rows, ["laplace", "nuts"], seed=1, num_filters=1, num_draws=1, num_particles=10)
@@ -242,5 +268,5 @@ def test_a_method_that_fails_leaves_its_reason(linear):
 )
 def test_what_cannot_be_compared_is_refused(linear, change, said):
     model, rows, *_ = linear
-    with pytest.raises(ModelError, match=said):
+    with pytest.raises(InputError, match=said):
         compare_methods(**{"model": model, "rows": rows, "methods": ["laplace"], **change})

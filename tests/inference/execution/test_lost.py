@@ -31,6 +31,46 @@ with open_executor(workers=2) as executor:
 print([each["x"].item() for each in found])
 """
 
+OWN_MODEL = """
+import sys
+import torch
+from pyro.distributions import Normal
+from invdyn.inference import infer_states
+from invdyn.inference.execution import executors
+from invdyn.models import StateSpaceModel
+
+print("the script runs", flush=True)
+executors.PATIENCE = 300  # on a machine that is busy
+
+
+class Walk(StateSpaceModel):
+    state_dim, observation_dim, num_steps = 1, 1, 10
+
+    def initial(self):
+        return Normal(torch.zeros(1), 1.0).to_event(1)
+
+    def transition(self, state, t):
+        return Normal(state, 0.3).to_event(1)
+
+    def emission(self, state, t):
+        return Normal(state, 0.5).to_event(1)
+
+
+model = Walk()
+rows = model.simulate(seed=0)[1]
+
+
+def bits(executor=None):
+    found = infer_states(model, rows, num_filters=6, num_particles=20, filters_per_task=2, seed=1, executor=executor)
+    return [found[group][name].values.tobytes() for group in found.groups() for name in found[group].data_vars]
+
+
+alone = bits()
+for place in ({"workers": 2}, {"scheduler": sys.argv[1]}):
+    with executors.open_executor(**place) as executor:
+        print(*place, bits(executor) == alone, flush=True)
+"""
+
 
 def wait_until(true):
     """However long it takes: pytest ends what waits for ever."""
@@ -81,6 +121,16 @@ def cluster(tmp_path):
         for process in processes:
             process.kill()
             process.wait()
+
+
+@pytest.mark.long
+def test_a_model_of_a_script_gives_the_serial_bits_everywhere(cluster, tmp_path):
+    """By two processes, and by a Dask cluster of two; the script has no guard, and ends."""
+    (tmp_path / "script.py").write_text(OWN_MODEL)
+    command = [sys.executable, "-W", "ignore", tmp_path / "script.py", cluster[1]]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout.splitlines() == ["the script runs", "workers True", "scheduler True"]
 
 
 @pytest.mark.long

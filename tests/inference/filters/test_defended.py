@@ -9,7 +9,7 @@ from oracles import kalman, random_chain, with_gaps
 from invdyn.inference import Controlled, Corrected, Defended, ParticleFilter, SMCOptions, gauss_newton, outer_weights
 from invdyn.inference.contract import ModelError
 from invdyn.inference.filters.filtering import run_filters
-from invdyn.inference.filters.moment_matching import look_alike, matched, noise_varies
+from invdyn.inference.filters.moment_matching import matched, moment_matched, noise_varies
 from invdyn.models.state_space import gaussian_moments
 
 
@@ -36,7 +36,7 @@ def test_a_linear_gaussian_model_is_exact_without_a_floor_and_unbiased_with(shar
 def test_evidence_of_any_dynamics(kind):
     model, y = recorded(kind)
     exact = grid_posterior(model, y, -8, 8).log_evidence
-    like = look_alike(model)
+    like = moment_matched(model)
     smoother = gauss_newton(like, y)
     torch.manual_seed(1)
     found = outer_weights(run_filters(model, y, SMCOptions(64, 100), smoother=smoother, keep=0).log_evidence)
@@ -68,13 +68,13 @@ def test_look_alikes_have_the_moments():
     model, _ = recorded(HeavyTailed)
     state = torch.tensor([[0.7], [-2.0]], dtype=torch.float64)
     truth = model.transition(state, 1)
-    mean, root = gaussian_moments(look_alike(model).transition(state, 1))
+    mean, root = gaussian_moments(moment_matched(model).transition(state, 1))
     torch.testing.assert_close(mean, truth.mean)
     torch.testing.assert_close(root[..., 0, 0].square(), truth.variance[..., 0])
     plain = Autoregression(5)
-    assert look_alike(plain) is plain
+    assert moment_matched(plain) is plain
     with pytest.raises(TypeError, match="bootstrap guide takes any"):
-        look_alike(Positive(5))
+        moment_matched(Positive(5))
     with pytest.raises(TypeError, match="on the real line"):
         matched(Positive(5).initial())
 

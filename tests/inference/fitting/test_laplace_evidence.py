@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from invdyn.inference.fitting.laplace_evidence import APART, fit_at_mode
+from invdyn.inference.fitting.laplace_evidence import CURVATURE_STEP, fit_at_mode
 from invdyn.inference.fitting.marginal_likelihood import Free
 
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
@@ -37,7 +37,7 @@ def test_of_linear_models_it_is_the_kalman_filters():
     assert np.abs(found.phi - best.x).max() < 0.35 * sd.min()  # .06 nats
     prior = 0.5 * ((found.phi / [2.0, 0.7]) ** 2).sum()
     assert found.log_evidence == pytest.approx(-value(found.phi) + prior, abs=1e-6)
-    h = APART
+    h = CURVATURE_STEP
     curved = [value(found.phi + h * e) + value(found.phi - h * e) - 2 * value(found.phi) for e in np.eye(2)]
     precision = np.diagonal(np.linalg.inv(found.covariance))
     np.testing.assert_allclose(precision, np.array(curved) / h**2, rtol=1e-6)

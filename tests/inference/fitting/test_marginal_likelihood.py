@@ -177,7 +177,7 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
     shared = _Objective(model, rows, free, None)._expand(phi)
     each = 1 + len(free)
     assert fitted[-4:] == [each, each, 1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
-    monkeypatch.setattr(_Objective, "_alike", lambda *_: (None, None))
+    monkeypatch.setattr(_Objective, "_shared_means", lambda *_: (None, None))
     for one, other in zip(shared, _Objective(model, rows, free, None)._expand(phi), strict=True):
         # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())

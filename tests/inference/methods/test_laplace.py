@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from grids import grid_posterior
-from one_state import Counts, Growth
+from one_state import Counts, Growth, Multiplicative
 
 from invdyn.inference import SMCOptions, infer, infer_states, pooled
 from invdyn.models import Body, Link
@@ -57,6 +57,16 @@ def test_a_linearisation_in_a_wrong_mode_is_not_usable():
     assert abs(idata.attrs["log_evidence"] - exact) > 5
     assert found["usable"] == 0
     assert "a bootstrap filter" in found["doubt"]
+
+
+def test_a_linearisation_of_another_model_is_not_usable():
+    """Noise that grows with the state: the linearised model has that of one path, and misses the evidence by nats."""
+    model = Multiplicative(50)
+    _, rows = model.simulate(seed=3)
+    idata = infer_states(model, rows, method="laplace", seed=0)
+    exact = grid_posterior(model, rows, -8.0, 8.0).log_evidence
+    assert abs(idata.attrs["log_evidence"] - exact) > 2
+    assert idata["sample_stats"].attrs["usable"] == 0
 
 
 def test_a_linearisation_that_is_right_is_usable():

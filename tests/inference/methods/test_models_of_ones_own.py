@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from grids import grid_posterior
-from one_state import Counts, Growth, Positive
+from grids import Leverage, grid_posterior, leverage_answer
+from one_state import Counts, Growth, HeavyTailed, Multiplicative, Positive, Switches, Volatility
 from pyro.distributions import Normal
 
 from invdyn.inference import infer_states
@@ -97,3 +97,55 @@ def test_particle_gibbs_takes_the_guide_that_pilots_chose(model, low, high):
     last = states.isel(time=-1).values.ravel()
     # The last smoothed mean is the filter's; 32 chains count at least as 32 independent draws.
     assert last.mean() == pytest.approx(float(filtered[-1]), abs=4.5 * last.std() / 32**0.5)
+
+
+def nuts_of_last_state(model, y):
+    """Mean and sd of the last state by NUTS, and what its draws are worth."""
+    idata = infer_states(model, y, method="nuts", seed=1, num_filters=20, num_draws=8, chains=2, warmup=40)
+    assert idata["sample_stats"].attrs["r_hat"] < 1.1
+    draws = idata["posterior"]["state"].values[:, :, -1, 0]
+    return draws.mean(), draws.std(), min(idata["sample_stats"].attrs["ess_bulk"], draws.size)
+
+
+@pytest.mark.parametrize("kind", [Counts, HeavyTailed, Multiplicative, Switches, Volatility])
+def test_nuts_samples_whatever_has_a_gradient(kind):
+    """Dynamics that are not Gaussian, too, or whose noise depends on the state; the last state is that of a grid."""
+    model = kind(6)
+    y = model.simulate(seed=2)[1]
+    mean, sd, size = nuts_of_last_state(model, y)
+    assert size > 20
+    exact = grid_posterior(model, y, -12, 12, 800).mean[-1]
+    assert mean == pytest.approx(exact, abs=4 * sd / size**0.5)
+
+
+def test_nuts_samples_where_rows_see_the_state_before():
+    model = Leverage(6)
+    y = model.simulate(seed=2)[1]
+    mean, sd, size = nuts_of_last_state(model, y)
+    exact = leverage_answer(y[:, 0].numpy()).mean[-1]
+    assert mean == pytest.approx(exact, abs=4 * sd / size**0.5)
+
+
+class Rounded(Constants):
+    """What is seen passes through numpy: there is no gradient."""
+
+    def emission(self, state, t):
+        return Normal(torch.as_tensor(state.detach().numpy()), self.parameters["noise"]).to_event(1)
+
+    def transition(self, state, t):
+        return Normal(0 * state.detach(), 0.5 * self.one).to_event(1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (Positive, "expected a transition on the real line.* got Gamma"),
+        (Rounded, "expected a log-density with a finite gradient"),
+        (Pair, "expected a finite log-density of its own draws"),
+    ],
+)
+def test_nuts_refuses_others_in_one_line(kind, said):
+    model = kind()
+    with pytest.raises(ModelError, match=said) as refused:
+        infer_states(model, model.simulate(seed=0)[1], method="nuts")
+    assert "\n" not in str(refused.value)

@@ -122,6 +122,7 @@ def test_parameters_have_their_exact_posterior(by_grid, steps):
     assert stats["vsmc_bound"] < evidence + 4 * stats["vsmc_bound_sd"]
     assert stats["vsmc_gain"] >= 0
     assert json.loads(stats["unidentified"]) == []
+    assert stats["usable"] == 1
 
 
 @pytest.mark.long
@@ -160,6 +161,14 @@ def test_directions_are_found_by_name():
     # only draws that weigh anything count
     narrow = torch.where(phi[:, 0].abs() < 0.2, 0.0, -torch.inf)
     assert unidentified(parameters, phi, narrow) == []
+
+
+def test_filters_of_which_one_carries_all_are_not_usable(by_grid):
+    given, free, *_ = by_grid
+    options = SMCOptions(num_filters=1, num_particles=10, num_draws=2)
+    stats = vsmc(given, free=free, options=options, steps=0)["sample_stats"].attrs
+    assert stats["usable"] == 0
+    assert "one filter gives no standard error" in stats["doubt"]
 
 
 def test_the_guide_alone_is_trained_when_all_parameters_are_known():

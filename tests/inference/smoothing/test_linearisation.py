@@ -33,7 +33,7 @@ def test_log_joint_of_the_path_that_was_linearised_along(family, torque):
 @pytest.mark.parametrize(("wide", "digits"), [(12, 7), (1, 5)])
 def test_slopes_are_tangents(batch, wide, digits, monkeypatch):
     """Differences beside a backward pass, central and one-sided; with an effect on what moves, one on what is seen."""
-    monkeypatch.setattr(linearisation, "WIDE", wide)
+    monkeypatch.setattr(linearisation, "ONE_SIDED_FROM", wide)
     model = arm(30, 0.003).with_effects(EFFECTS["viscous_friction"]("joint1"), EFFECTS["lens_distortion"]())
     path = model.simulate(batch)[0]
     rows, dim = torch.arange(30), model.state_dim

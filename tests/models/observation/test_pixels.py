@@ -197,17 +197,17 @@ def test_turns_that_are_states_are_cameras_turned_about_their_places(lasting):
     torch.testing.assert_close(after.mean[:, own], x[:, own], rtol=DT / ROTATION_TIME, atol=0)  # they stay
     assert (after.stddev[:, own] > 0).all()
     assert (after.stddev[:, own] < 0.003 * model.parameters["camera.turn_scale"][0]).all()
-    assert model.lone == ((list(range(4, 16)), list(range(12))) if lasting else None)
+    assert model.independent_sensor_states == ((list(range(4, 16)), list(range(12))) if lasting else None)
 
 
 class Plain(ArmModel):
-    lone = None
+    independent_sensor_states = None
 
 
 @pytest.mark.parametrize("rotation_uncertain", [False, True])
-def test_slopes_of_lone_states_are_those_of_one_nudge_each(rotation_uncertain):
+def test_slopes_of_independent_states_are_those_of_one_nudge_each(rotation_uncertain):
     model = model_of(Encoders(), rotation_uncertain=rotation_uncertain)
-    assert model.lone == (list(range(4, 16)), list(range(12)))
+    assert model.independent_sensor_states == (list(range(4, 16)), list(range(12)))
     torch.manual_seed(1)
     path, y = model.simulate()
     plain = Plain.__new__(Plain)

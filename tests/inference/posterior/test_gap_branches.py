@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from invdyn.inference import SMCOptions, infer, prepare
-from invdyn.inference.posterior import turns
+from invdyn.inference.posterior import gap_branches
+from invdyn.inference.posterior.gap_branches import differs_in_turns, gaps, most_probable_turns
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.inference.posterior.turns import gaps, likeliest_turns, turned
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import Body, Link
 from invdyn.simulate import random_arm, record
@@ -50,9 +50,9 @@ def test_the_likeliest_way_over_a_gap_is_the_true_one(seed):
     model, rows = problem.model, problem.observations
     first = gauss_newton(model, rows)
     assert slips(model, first.path, truth).any()  # else this recording tests nothing
-    path, doubts = likeliest_turns(model, rows, first.path)
+    path, doubts = most_probable_turns(model, rows, first.path)
     assert not slips(model, path, truth).any()
-    assert turned(model, path, first.path)
+    assert differs_in_turns(model, path, first.path)
     assert not doubts
     assert gauss_newton(model, rows, start=path).log_evidence > first.log_evidence
 
@@ -69,7 +69,7 @@ def test_the_fit_begins_and_ends_with_the_likeliest_way():
 def test_a_way_that_is_nearly_as_likely_is_told():
     arm, recording, _ = recorded(12)
     problem = arm_problem(recording, arm)
-    _, (doubt,) = likeliest_turns(problem.model, problem.observations)
+    _, (doubt,) = most_probable_turns(problem.model, problem.observations)
     assert (doubt.begin, doubt.end) == pytest.approx((1.3, 56 / 30))
     assert list(doubt.turns) == ["fore"]
     assert 0.05 < doubt.probability < 0.5
@@ -80,7 +80,7 @@ def test_a_way_that_is_nearly_as_likely_is_told():
 @pytest.mark.long
 def test_what_is_in_doubt_is_in_the_summary_and_outlives_a_checkpoint(monkeypatch, tmp_path):
     """The likeliest of other ways is told whatever its probability, if one asks for that."""
-    monkeypatch.setattr(turns, "TOLD", 0.0)
+    monkeypatch.setattr(gap_branches, "REPORTED", 0.0)
     arm, recording, _ = recorded(12)
     options = {"method": "laplace", "num_filters": 2, "num_draws": 20, "checkpoint": tmp_path / "run"}
     first, again = (infer(recording, arm, **options) for _ in range(2))

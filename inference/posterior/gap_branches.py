@@ -1,4 +1,4 @@
-"""Whole turns over gaps: which of the ways over what was not seen is the likeliest.
+"""Whole turns over gaps: which of the paths across what was not seen is the most probable.
 
 A camera tells the angle of a link but for whole turns. Between neighbouring frames one way is plain; over a gap it may
 not be. Two ways over a gap [a, b] that differ by n turns have the same ends, and the same velocities there. Where the
@@ -14,10 +14,10 @@ length Δ it leaves the angle's change a variance of q² Δ³ / 12, so that n tu
     [ (d + 2π n)² − d² ] 6 / (q² Δ³) nats,   d = φ_b − φ_a − (ω_a + ω_b) Δ/2,   q² = ⟨(ω_{t+Δ} − ω_t)²⟩ / Δ.
 
 The walk is a rough guide, so only what costs ``DEAREST`` is left out. The gap with the cheapest turn comes first. A
-doubt is told where another way has more than ``TOLD`` of the probability.
+doubt is reported where another way has more than ``REPORTED`` of the probability.
 
 Of links in the plane that no encoder counts. A link that turns by more than half a turn from row to row is beyond this:
-gap or none, its turns cannot be told. Shapes: T rows, K links, C ways, path (T, D).
+gap or none, its turns cannot be identified. Shapes: T rows, K links, C ways, path (T, D).
 """
 
 import math
@@ -37,8 +37,8 @@ from invdyn.models.articulated.start import path_through
 from invdyn.models.divergence import Diverged
 from invdyn.models.kinematics import link_angles
 
-TOLD = 0.05
-"""Probability of another way from which it is told: what a 90 % band leaves at each end."""
+REPORTED = 0.05
+"""Probability of another way from which it is reported: what a 90 % band leaves at each end."""
 
 
 DEAREST = -math.log(np.finfo(np.float64).eps)
@@ -52,7 +52,7 @@ class Doubt:
     Attributes:
         begin, end: s, of the last row before it and the first one after.
         turns: of each link by name, how many more the other way makes, counter-clockwise.
-        probability: of the other way, beside the one that was kept.
+        probability: of the other way, against the one that was kept.
     """
 
     begin: float
@@ -79,23 +79,25 @@ def fit_over_gaps(
     progress: Report | None = None,
     origin: float = 0.0,
 ) -> tuple[Fit[ArmModel], list[str]]:
-    """The fit from the way with the likeliest turns over gaps, before it and after it, and what is in doubt.
+    """The fit from the way with the most probable turns over gaps, before it and after it, and what is in doubt.
 
     ``origin`` is the recording's time, s, at which the model's is 0.
     """
     if not gaps(model, observations):
         return fit(model, observations, free, progress=progress), []
-    start, _ = likeliest_turns(model, observations)
+    start, _ = most_probable_turns(model, observations)
     fitted = fit(model, observations, free, start=start, progress=progress)
-    path, doubts = likeliest_turns(fitted.model, observations, fitted.path)
-    if turned(model, path, fitted.path):
+    path, doubts = most_probable_turns(fitted.model, observations, fitted.path)
+    if differs_in_turns(model, path, fitted.path):
         fitted = fit(model, observations, free, start=path, progress=progress)
-        _, doubts = likeliest_turns(fitted.model, observations, fitted.path)
+        _, doubts = most_probable_turns(fitted.model, observations, fitted.path)
     return fitted, [str(replace(each, begin=each.begin + origin, end=each.end + origin)) for each in doubts]
 
 
-def likeliest_turns(model: ArmModel, observations: Tensor, path: Tensor | None = None) -> tuple[Tensor, list[Doubt]]:
-    """The mode (T, D) with the likeliest turns over gaps, from a ``path`` or the model's own; and what is in doubt.
+def most_probable_turns(
+    model: ArmModel, observations: Tensor, path: Tensor | None = None
+) -> tuple[Tensor, list[Doubt]]:
+    """The mode (T, D) with the most probable turns over gaps, from a ``path`` or the model's own; and what is in doubt.
 
     Raises as :func:`.gauss_newton` does.
     """
@@ -119,7 +121,7 @@ def likeliest_turns(model: ArmModel, observations: Tensor, path: Tensor | None =
             path, evidence = others.path[best], others.log_evidence[best].item()
             continue  # and a turn more, perhaps
         del left[gap]
-        if (probability := 1 / (1 + math.exp(min(-gains[best], 700.0)))) > TOLD:
+        if (probability := 1 / (1 + math.exp(min(-gains[best], 700.0)))) > REPORTED:
             begin, end = (float(model.time[row]) for row in gap)
             turns = {model.body.link_names[link]: n for link, n in list(ways)[best]}
             doubts.append(Doubt(begin, end, turns, probability))
@@ -140,7 +142,7 @@ def gaps(model: ArmModel, observations: Tensor) -> dict[tuple[int, int], list[in
     return {(a, b): np.flatnonzero(unseen[a:b].any(axis=0)).tolist() for a, b in within}
 
 
-def turned(model: ArmModel, path: Tensor, other: Tensor) -> bool:
+def differs_in_turns(model: ArmModel, path: Tensor, other: Tensor) -> bool:
     """Whether a path (T, D) makes other turns than another one."""
     return bool(((model.split(path)[1] - model.split(other)[1]).abs() > math.pi).any())
 
