@@ -63,8 +63,8 @@ def nuts(
             f"nuts: expected {MIN_DRAWS} draws of each of {chains} chains, for R-hat, got {draws}: "
             f"let --filters × --draws be {MIN_DRAWS * chains} or more"
         )
-    whitening = whitening_chain(model, observations, start)
     with seeded(seed):
+        whitening = whitening_chain(model, observations, start)
         paths, statistics = sample_paths(
             model,
             observations,
