@@ -42,10 +42,10 @@ RULES = {
     "twin": ("swap", "neighbour: an exact stand-in"),
     "wider": ("swap", "neighbour: what contains an effect"),
     "narrower": ("swap", "neighbour: its special case"),
-    "alike": ("swap", "neighbour: what much of it is taken for"),
+    "similar": ("swap", "neighbour: an effect that it may imitate"),
 }
 """Rule → the module that calls it, and what it does; a function but for the kinds of neighbours, of ``_follow``."""
-KINDS = ("twin", "wider", "narrower", "alike")
+KINDS = ("twin", "wider", "narrower", "similar")
 NEAR = 5.0
 """Nats of the score behind the best within which a cause has a say in the answer."""
 

@@ -105,7 +105,7 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
             continue
         part = kind(*(each[k] for k in ("joint", "link", "partner", "stop", "form") if each.get(k)))
         means = {name: p["mean"] for name, p in each["parameters"].items() if not name.startswith("bristle_")}
-        part = part.softened() if {"settling", "softness"} & means.keys() else part
+        part = part.nonideal() if {"settling", "softness"} & means.keys() else part
         parts.append(part)
         if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
             size, phase = means.pop("amplitude"), means.pop("phase")

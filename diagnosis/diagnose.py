@@ -9,7 +9,7 @@ becomes a formula (:mod:`.symbolic_regression`) with a place (:mod:`.localisatio
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -24,6 +24,7 @@ from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
+from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue, CatalogueEntry
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
@@ -40,7 +41,7 @@ from invdyn.inference import save_posterior
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
-from invdyn.models.effects import EFFECTS
+from invdyn.models.effects.base import Effect
 from invdyn.recordings import InputError, Recording, joined, whole_set, write_text
 
 Progress = Callable[[int, int, str], None]
@@ -53,6 +54,7 @@ def diagnose(
     *,
     held_out: Recording | Sequence[Recording] | None = None,
     passive: bool = False,
+    effects: Mapping[str, CatalogueEntry | type[Effect]] = CATALOGUE,
     without: Sequence[str] = (),
     most: int | None = None,
     seed: int = 0,
@@ -74,6 +76,8 @@ def diagnose(
         held_out: other recordings of the same arm, on which the closing of the gap is measured; by default the last
             third of ``recording``.
         passive: the torque is known to be zero.
+        effects: the catalogue of effects to look for, by name, in which a class stands for an entry without words and
+            relatives: ``CATALOGUE | {"belt": BeltDrag}`` has one of your own.
         without: names of effects to leave out of the catalogue.
         most: effects at once, at most; by default `rules.search.max_effects`. More take longer, and may imitate what
             the catalogue lacks.
@@ -118,8 +122,8 @@ def diagnose(
     if isinstance(without, str):
         raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")
     for name in without:
-        if name not in EFFECTS:
-            raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
+        if name not in effects:
+            raise InputError(f"unknown effect {name!r}: known are {', '.join(effects)}")
     given = {"max_effects": most, "tolerance": tolerance}
     rules = rules.replace(**{name: value for name, value in given.items() if value is not None})
     most, tolerance = rules.search.max_effects, rules.evidence.tolerance
@@ -138,6 +142,7 @@ def diagnose(
             "recording": content_digest(_each(recording)),
             "held_out": content_digest(_each(held_out or ())),
             "body": repr(body),
+            "effects": sorted(effects),
             **{"passive": passive, "without": list(without), "most": most, "seed": seed},
             **{"budget": budget, "tolerance": tolerance, "rules": content_digest(rules)},
         }
@@ -155,11 +160,12 @@ def diagnose(
     effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
     work = effort if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, on_progress=None if progress is None else trying)
-    bound = replace(bound, budget=allowed, checkpoint=keeper)
+    catalogue = effects if isinstance(effects, Catalogue) else Catalogue(effects)
+    bound = replace(bound, budget=allowed, checkpoint=keeper, catalogue=catalogue)
     other = None
     if held_out is not None:
         other = diagnosis_problem(held_out, body, passive=passive, force=force, rules=rules)
-        other = replace(other, budget=allowed, checkpoint=keeper)
+        other = replace(other, budget=allowed, checkpoint=keeper, catalogue=catalogue)
     if other is not None and other.regime != bound.regime:
         raise InputError(
             f"{other.problem.recording.name}: expected a held-out recording with torques "

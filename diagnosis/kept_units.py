@@ -93,7 +93,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return _plain(value.item())
     if isinstance(value, Effect):
-        return [type(value).__name__, value.key, value.softness]
+        return [type(value).__name__, value.key, value.variant]
     if isinstance(value, Mapping):
         return [[key, _plain(value[key])] for key in sorted(value)]
     if isinstance(value, list | tuple):

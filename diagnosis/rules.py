@@ -333,6 +333,17 @@ class Fixed:
     firm_cost: int = number(3, "passes", "of a path under a smaller residual", "measured")
     hinge_cost: int = number(10, "1", "times a column, of a hidden hinge", "measured")
     effect_cost: int = number(20, "columns", "of any effect, besides its own", "measured")
+    # -- what is credible of an effect, and values from which a search starts
+    credible_sds: float = number(4.0, "sd", "by which a parameter may be off, in favour of the effect", "chosen")
+    special_case_sds: float = number(3.0, "sd", "from a special case, up to which parameters allow it", "chance")
+    max_rest_angle: float = number(4 * math.pi, "rad", "of a spring, as it is reported", "stated: two revolutions")
+    min_lever_ratio: float = number(0.1, "1", "of a coupling; under it one joint has a spring", "measured: .52 or more")
+    max_stop_damping: float = number(3.0, "1", "ratio of a stop that pushes a joint back", "measured: .48 at most")
+    min_free_range: float = number(0.5, "range seen", "that a stop leaves free", "measured: .79 or more")
+    min_stop_room: float = number(0.1, "range seen", "that two stops of a joint leave between them", "chosen")
+    start_softness: float = number(0.3, "1", "of a regularised stop", "chosen")
+    min_ripple_periods: float = number(3.0, "periods", "in a revolution; motors' builds have four or more", "stated")
+    max_mistimed_frames: float = number(5.0, "frames", "sd of a mistimed one; farther off it is lost", "stated")
     # -- memory and floating-point arithmetic
     max_block_columns: int = number(200, "columns", "whitened together", "memory")
     max_block_rows: int = number(1500, "rows", "for so many columns; fewer for more", "memory")

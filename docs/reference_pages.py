@@ -55,7 +55,7 @@ def api_page(room: str, what: str) -> str:
 
 def effects_page(pictures: Path | None) -> str:
     """Name, formula, parameters, twins, experiment and picture of each effect; pictures that are up to date stay."""
-    from invdyn.models.effects import EFFECTS
+    from invdyn.diagnosis.catalogue import CATALOGUE
 
     newest = Path(__file__).stat().st_mtime
     parts = [
@@ -63,7 +63,8 @@ def effects_page(pictures: Path | None) -> str:
         "A picture shows a coordinate of the same commanded arm with the effect and without it. "
         "The effect is as large as its prior calls likely.\n"
     ]
-    for name, kind in EFFECTS.items():
+    for name, entry in CATALOGUE.items():
+        kind = entry.effect
         module = inspect.getmodule(kind)
         formula = (module.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
         shown = ""
@@ -74,14 +75,15 @@ def effects_page(pictures: Path | None) -> str:
                 Path(inspect.getfile(kind)).stat().st_mtime, newest
             ):
                 draw_effect(kind, picture)
-            shown = f"![The arm with {kind.phrase} and without](effects/{name}.svg)\n\n"
+            shown = f"![The arm with {entry.phrase} and without](effects/{name}.svg)\n\n"
         rows = "\n".join(f"| `{p.name}` | {p.unit} |" for p in _parameters(kind))
-        forms = f"\n\nOther forms: {'; '.join(kind.form_words.values())}." if kind.form_words else ""
-        twins = f"\n\nNo recording tells it from: {', '.join(kind.twins)}." if kind.twins else ""
+        others = [*entry.forms.values(), *entry.variant_words.values()]
+        forms = f"\n\nOther forms: {'; '.join(others)}." if others else ""
+        twins = f"\n\nNo recording distinguishes it from: {', '.join(entry.twins)}." if entry.twins else ""
         parts.append(
-            f"## {name}\n\n{kind.phrase[0].upper()}{kind.phrase[1:]}: {kind.meaning}. {formula}\n\n"
+            f"## {name}\n\n{entry.phrase[0].upper()}{entry.phrase[1:]}: {entry.meaning}. {formula}\n\n"
             f"{shown}| parameter | unit |\n|---|---|\n{rows}\n\n"
-            f"Brought out by {kind.shown_by}.{forms}{twins}\n"
+            f"Brought out by {entry.shown_by}.{forms}{twins}\n"
         )
     return "\n".join(parts)
 
@@ -109,7 +111,7 @@ def draw_effect(kind: type, file: Path) -> None:
             2, 1, figsize=(5.2, 2.7), sharex=True, height_ratios=(2, 1), layout="constrained"
         )
         both.plot(time, ideal[:, shown], color="0.6", label="ideal")
-        both.plot(time, real[:, shown], color="#0072B2", linewidth=1, label=kind.phrase)
+        both.plot(time, real[:, shown], color="#0072B2", linewidth=1, label=kind.name.replace("_", " "))
         both.set(ylabel=f"{('elbow', 'wrist')[shown // 2]} {'xy'[shown % 2]} (m)")
         both.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0)
         apart.plot(time, 1e3 * (real - ideal)[:, shown], color="#0072B2", linewidth=1)

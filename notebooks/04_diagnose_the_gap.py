@@ -43,9 +43,9 @@ import numpy as np
 import torch
 from pyro.distributions import Normal
 
-from invdyn.diagnosis import diagnose
+from invdyn.diagnosis import CATALOGUE, diagnose
 from invdyn.models import Body, Link
-from invdyn.models.effects import EFFECTS, Effect, GravityTilt, Parameter, ViscousFriction
+from invdyn.models.effects import Effect, GravityTilt, Parameter, ViscousFriction
 from invdyn.plots import BLUE, GREY, STYLE, VERMILION
 from invdyn.simulate import random_arm, record
 
@@ -75,7 +75,7 @@ def reality(effect, duration=2.0, **values):
 # size of the body.
 
 # %%
-print(len(EFFECTS), "effects:", ", ".join(EFFECTS))
+print(len(CATALOGUE), "effects:", ", ".join(CATALOGUE))
 DAMPING = 0.05  # N·m·s/rad
 friction = reality(ViscousFriction("elbow"), damping=DAMPING)
 
@@ -226,8 +226,9 @@ for key, dprime in sorted(seen.items(), key=lambda item: -item[1]):
 #
 # $$ \tau_\text{elbow} = -b\,\dot\theta_\text{shoulder}. $$
 #
-# The catalogue has no such effect. We write it, to play reality with: a pair of joints, one parameter with its unit
-# and prior, and one hook, the force. Shapes: `now.qd` is (…, K), a parameter (…, 1).
+# The catalogue has no such effect. We write it, to simulate reality with: a pair of joints, one parameter with its unit
+# and prior, and the one stage of the simulation that it changes, the force. Shapes: `now.qd` is (…, K), a parameter
+# (…, 1).
 
 
 # %%
@@ -262,16 +263,17 @@ print(f"which predicts each held-out frame better by {strange.outside.gain_per_f
 # ## Turn it into an effect
 #
 # Someone who knows the machine reads "the shoulder's velocity, on the elbow", thinks of the belt, and writes the class
-# above. In the catalogue it is a candidate like all others:
+# above. In a catalogue it is a candidate like all others:
 
 # %%
-EFFECTS["belt_drag"] = BeltDrag
-explained = diagnose(belt, body, checked=True)
+explained = diagnose(belt, body, effects=CATALOGUE | {"belt": BeltDrag}, checked=True)
 tell(explained)
 print(f"truth: {BELT}; share of the gap closed: {explained.shrinkage.gap_closed:.2f}")
 
 # %% [markdown]
-# An effect that is to stay becomes a file in `models/effects/`. CONTRIBUTING.md says what else it needs.
+# `CATALOGUE` itself does not change. In place of the class, a `CatalogueEntry` may say more than a diagnosis needs to
+# find it: its phrase in the report, its twins and special cases, which values are credible. An effect that is to stay
+# becomes a file in `models/effects/` and an entry in `diagnosis/catalogue/`. CONTRIBUTING.md says what else it needs.
 #
 # Three things to keep in mind with recordings of your own:
 #

@@ -100,7 +100,17 @@ STAGES = {
         "posterior",
         "methods",
     ],
-    "diagnosis": ["problem", "sensitivity", "prediction", "hypotheses", "assessment", "check", "write_back", "report"],
+    "diagnosis": [
+        "catalogue",
+        "problem",
+        "sensitivity",
+        "prediction",
+        "hypotheses",
+        "assessment",
+        "check",
+        "write_back",
+        "report",
+    ],
 }
 """Rooms of a room, each importing only those before it; a file beside them stands after the last of what it imports."""
 

@@ -42,7 +42,6 @@ from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models import ArmModel, ArticulatedBody
-from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
 
@@ -136,7 +135,8 @@ def assembled(
         ambiguity_set=(rivals,) if rivals else (),
         overlaps=overlaps(bound, rivals, found.first),
         separating_experiment=separating_experiment(
-            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects]
+            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects],
+            bound.catalogue,
         ),
         outside=Outside(
             weighed.outside,
@@ -178,7 +178,7 @@ def assembled(
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
         posterior=_posterior(bound, best, weighed, seed),
-        planar_only=_planar_only(body),
+        planar_only=_planar_only(bound),
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
@@ -214,8 +214,8 @@ def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     shown = added(found.first)
     unseen = {key(s.effect) for s in shown if s.dprime < bound.rules.evidence.min_dprime or regime.hides(s.effect)}
     if not regime.commanded:
-        everything = [effect for kind in EFFECTS.values() for effect in kind.everywhere(body, [])]
-        unseen |= {key(e.bound(body)) for e in everything if e.needs_command or regime.hides(e)}
+        every = bound.catalogue.everywhere(body, [])
+        unseen |= {key(e) for entry, e in every if entry.of_motors(e) or regime.hides(e)}
     return unseen
 
 
@@ -256,7 +256,7 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
 
 
 def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, held_out: str) -> dict[str, str]:
-    flat = _planar_only(bound.model.body)
+    flat = _planar_only(bound)
     model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
@@ -294,9 +294,9 @@ def _law(best: FittedHypothesis) -> str:
     return "normal" if tails is None else f"Student's t of {tails:.0f} degrees of freedom"
 
 
-def _planar_only(body: ArticulatedBody) -> tuple[str, ...]:
+def _planar_only(bound: DiagnosisProblem) -> tuple[str, ...]:
     """Which effects of the catalogue are not known for a body of this kind."""
-    return tuple(name for name, kind in EFFECTS.items() if not kind.fits(body))
+    return tuple(name for name, entry in bound.catalogue.items() if not entry.effect.fits(bound.model.body))
 
 
 def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passive: bool, reason: str) -> Diagnosis:

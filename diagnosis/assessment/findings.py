@@ -11,19 +11,19 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.hypotheses.simplex_search import log_spread
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, bounds, unknowns
 from invdyn.models.effects.base import Effect, Parameter
-from invdyn.models.effects.joint_limit import JointLimit
 
 
 def place(effect: Effect) -> dict[str, str]:
     """Where an effect acts, "joint", "link" or "keypoint" → name, "partner" for pairs, "stop" for limits, "form"."""
     names, form = (list(effect.where), {}) if effect.form is None else (list(effect.where[:-1]), {"form": effect.form})
-    if isinstance(effect, JointLimit):
+    if effect.site == "stop":
         return {"joint": names[0], "stop": names[1]}
     if effect.site == "pair":  # the torque acts on the outer one
         return {"joint": names[1], "partner": names[0]}
@@ -43,14 +43,14 @@ def finding(
     problem: DiagnosisProblem, cause: FittedHypothesis, effect: Effect, seed: int, temper: float = 1.0
 ) -> Finding:
     """Posterior of one effect's parameters, by draws from the refined Gaussian within the bounds; ``temper`` is ζ."""
-    parameters = effect.parameters(problem.model.scale)
+    parameters, entry = effect.parameters(problem.model.scale), problem.catalogue.of(effect)
     whole = drawn(problem, cause, seed, temper)
     draws = _draws(problem, cause, effect, whole, seed, temper)
-    described = {
-        name: (values.reshape(-1).numpy(), unit)
-        for name, (values, unit) in effect.described({n: torch.as_tensor(v)[:, None] for n, v in draws.items()}).items()
-    } or {p.name: (draws[p.name], p.unit) for p in parameters}
-    if "moment" in effect.located:  # in the recording's times
+    reported = entry.reported(effect, {n: torch.as_tensor(v)[:, None] for n, v in draws.items()})
+    described = {name: (values.reshape(-1).numpy(), unit) for name, (values, unit) in reported.items()} or {
+        p.name: (draws[p.name], p.unit) for p in parameters
+    }
+    if any(p.located for p in parameters):  # in the recording's times
         described |= {n: (described[n][0] + problem.problem.origin, "s") for n in ("start", "stop") if n in described}
     estimates = {}
     for name, (values, unit) in described.items():
@@ -59,7 +59,7 @@ def finding(
         mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
         estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit)
     changes = {}
-    for name, quantity in effect.filed.items():
+    for name, quantity in entry.body_file_fields.items():
         if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
             e = estimates[name]
             own = whole.get(f"body.{quantity}.{effect.place[0]}")
@@ -68,7 +68,8 @@ def finding(
                 continue
             low, high = (before + end for end in e.interval_90)
             changes[name] = Change(before, Estimate(before + e.mean, e.sd, (low, high), e.unit))
-    return Finding(effect.name, effect.side, place(effect), estimates, changes)
+    known = CATALOGUE.get(effect.name) is entry
+    return Finding(effect.name, effect.side, place(effect), estimates, changes, None if known else entry)
 
 
 def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float = 1.0) -> tuple[Learned, ...]:

@@ -92,7 +92,7 @@ def acting(causes: Mapping[str, tuple[FittedHypothesis, float]]) -> tuple[Interv
     return tuple(
         Interval(moment - half, moment + half, probability)
         for effect in cause.effects
-        if "moment" in effect.located
+        if any(p.located for p in effect.parameters(cause.model.scale))
         for moment, half in [(known[f"{effect.key}.moment"], known[f"{effect.key}.duration"] / 2)]
     )
 

@@ -12,14 +12,14 @@ A cause explains only a part, s_c = 0, in any of these cases:
 - outliers of several keypoints come in the same rows, which independent ones do not (swapped ones are a cause of their
 own);
 - errors are larger than the noise that the recording shows;
-- parameters are such that an effect would not bear its name (:meth:`Effect.credible`), as two stops that meet;
+- parameters are such that an effect would not bear its name (:attr:`.CatalogueEntry.credible`), as two stops that meet;
 - a residual still gains evidence: L_c = max_size log p − log p(spike) exceeds a hundredth of what it gains without a
   cause by five nats (:meth:`.pool.HypothesisPool.leaves`), and is over the tolerance. It is small then, but
   not due to chance.
 
 An effect whose most probable values are not what its name says gives its probability to its special case
-(:attr:`Effect.contains`), if that gains all but a tenth of its evidence: Stribeck friction that is less at rest is
-Coulomb friction in a smoother form, and something else is left with either.
+(:attr:`.CatalogueEntry.special_cases`), if that gains all but a tenth of its evidence: Stribeck friction that is less
+at rest is Coulomb friction in a smoother form, and something else is left with either.
 
 The most probable cause has to pass the same on a withheld recording (:mod:`.transfer`). Of three effects or more,
 withheld rows have to confirm each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
@@ -44,7 +44,6 @@ from invdyn.diagnosis.prediction.innovation_tests import along_motion, predictio
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.prior import another
-from invdyn.models.effects import EFFECTS
 
 
 @dataclass(frozen=True)
@@ -126,10 +125,12 @@ def _special(bound: DiagnosisProblem, ranked: list[FittedHypothesis], cause: Fit
     keys = [other.key for other in ranked]
     for effect in cause.effects:
         mean = of_effect(effect, cause.values)
-        if effect.credible(mean, dict.fromkeys(mean, 0.0), bound.model.scale):
+        entry = bound.catalogue.of(effect)
+        if entry.credible(effect, mean, dict.fromkeys(mean, 0.0), bound.model.scale):
             continue
-        for name in effect.contains:
-            narrower = [EFFECTS[name](*effect.where) if each is effect else each for each in cause.effects]
+        for name in (each for each in entry.special_cases if each in bound.catalogue):
+            special = bound.catalogue[name].effect(*effect.where)
+            narrower = [special if each is effect else each for each in cause.effects]
             if (key := key_of(narrower)) in keys:
                 return keys.index(key)
     return None

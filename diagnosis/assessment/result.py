@@ -14,6 +14,7 @@ from cattrs.gen import make_dict_unstructure_fn, override
 
 from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.tracks import Tracks
+from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.rules import DEFAULT, Rules
 
@@ -80,7 +81,7 @@ class Finding:
 
     `where` maps "joint", "link" or "keypoint" (and "partner" for pairs, "stop" for a joint's stops) to a name, and
     "form" to that of an effect that has several; empty for the whole arm. `changes` has those parameters that add to a
-    number of the simulation's own file.
+    number of the simulation's own file. `own` is the entry of an effect that only the diagnosis' own catalogue has.
     """
 
     effect: str
@@ -88,6 +89,12 @@ class Finding:
     where: dict[str, str]
     parameters: dict[str, Estimate]
     changes: dict[str, Change] = field(default_factory=dict)
+    own: CatalogueEntry | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def entry(self) -> CatalogueEntry | None:
+        """What the catalogue has of the effect."""
+        return self.own or CATALOGUE.get(self.effect)
 
     @property
     def key(self) -> str:

@@ -97,7 +97,7 @@ def whole_turns_away(there: FittedHypothesis) -> list[FittedHypothesis]:
 def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedHypothesis) -> bool:
     """Whether a cause leaves something beyond chance on another recording, to which both were carried."""
     # What happened at some moment of the first recording does not happen in another.
-    if any(effect.dated for effect in cause.effects):
+    if any(other.catalogue.of(effect).per_recording for effect in cause.effects):
         return False
     there, without = (replace(each, by_size=_by_size(other, each)) for each in (cause, none))
     return leaves(there, without, other.rules)

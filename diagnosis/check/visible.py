@@ -14,7 +14,6 @@ from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models import ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
-from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
 
@@ -49,5 +48,5 @@ def visible(recording: Recording, body: ArticulatedBody, passive: bool = False, 
     record: dict[str, list[str]] = {}
     for s in added(screened):
         if s.dprime < rules.evidence.min_dprime:
-            record.setdefault(EFFECTS[s.effect.name].shown_by, []).append(key(s.effect))
+            record.setdefault(bound.catalogue[s.effect.name].shown_by, []).append(key(s.effect))
     return Visible(dprime, {what: tuple(sorted(names)) for what, names in record.items()})

@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 
 from invdyn.diagnosis.budget import attempt
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, needed, others
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import early_stop_limits, follow_neighbours, regularised
 from invdyn.diagnosis.prediction.innovation_tests import prediction_errors, show_more
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.noise import is_outlier, is_searched
 from invdyn.diagnosis.problem.regime import imitable
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.rules import Rules
@@ -111,7 +111,7 @@ def _seen(screened: Sequence[Screened], rules: Rules) -> list[Added]:
 
 def _may_show(s: Added, nothing: float, rules: Rules) -> bool:
     """Whether an effect gains anything, or has a regularised form, which may where the ideal law explains nothing."""
-    return s.log_evidence > nothing + rules.search.screen_error or s.effect.softened() is not None
+    return s.log_evidence > nothing + rules.search.screen_error or s.effect.nonideal() is not None
 
 
 def refine_best(found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened], width: int) -> list[Added]:
@@ -179,7 +179,7 @@ def _search_values(found: HypothesisPool, base: FittedHypothesis, least: float) 
     keys = {effect.key for effect in base.effects}
     free = [e for e in found.candidates if e.key not in keys and is_searched(e)]
     free = [e for e in free if slips or not isinstance(e, HiddenHinge)]
-    free = [e for e in free if found.has_outliers or e.name not in MISTAKES]
+    free = [e for e in free if found.has_outliers or not is_outlier(e)]
     found.add_all([partial(searched, effect) for effect in free])
 
 

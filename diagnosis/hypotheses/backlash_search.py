@@ -31,7 +31,8 @@ from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
-from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.parameter import Parameter
 
 
 @dataclass

@@ -58,13 +58,13 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.budget import attempt
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import without
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.problem.noise import is_mistake
+from invdyn.diagnosis.problem.noise import is_mistake, is_outlier
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
@@ -147,7 +147,7 @@ def heavy_tailed(found: HypothesisPool) -> HypothesisPool:
     """
     problem, best = found.problem, found.best
     rest = _without_outliers(problem, best)
-    if rest is best or any(is_mistake(type(effect)) for effect in rest.effects):
+    if rest is best or any(is_mistake(effect) for effect in rest.effects):
         return found
     degrees = problem.rules.residual.tail_degrees
     laws = [_fitted(problem, rest, each) for each in degrees]
@@ -163,9 +163,9 @@ def heavy_tailed(found: HypothesisPool) -> HypothesisPool:
     least = found.score(best) - problem.rules.search.max_tail_gap
     near = [cause for cause in found.ranked if found.score(cause) > least or not cause.effects]
     bare = {cause.key: cause for cause in (_without_outliers(problem, each) for each in reversed(near))}
-    candidates = [effect for effect in found.candidates if effect.name not in MISTAKES]
+    candidates = [effect for effect in found.candidates if not is_outlier(effect)]
     carried = replace(found, problem=tailed, pool={}, candidates=candidates, has_outliers=False)
-    clear = [cause for cause in bare.values() if not any(is_mistake(type(effect)) for effect in cause.effects)]
+    clear = [cause for cause in bare.values() if not any(is_mistake(effect) for effect in cause.effects)]
     parts = [partial(_carried, tailed, each) for each in clear]
     for cause in side_by_side(parts, found.workers, tailed.budget):
         carried.add(cause)
@@ -174,7 +174,7 @@ def heavy_tailed(found: HypothesisPool) -> HypothesisPool:
 
 def _without_outliers(problem: DiagnosisProblem, cause: FittedHypothesis) -> FittedHypothesis:
     """A cause without its outliers, nothing refined; itself where it has none."""
-    outliers = next((effect for effect in cause.effects if effect.name == "outliers"), None)
+    outliers = next((effect for effect in cause.effects if problem.catalogue.of(effect).outliers), None)
     return cause if outliers is None else cause.less(problem, outliers)
 
 
@@ -182,7 +182,7 @@ def _with_outliers(
     problem: DiagnosisProblem, best: FittedHypothesis, there: FittedHypothesis
 ) -> FittedHypothesis | None:
     """The ``best`` cause, its outliers searched once more along the path that it has ``there``."""
-    outliers = next(effect for effect in best.effects if effect.name == "outliers")
+    outliers = next(effect for effect in best.effects if problem.catalogue.of(effect).outliers)
     among = unknowns(problem, there.effects)
     model = among.set_in(_without_outliers(problem, best).model, there.mean)
     base = replace(_without_outliers(problem, best), model=model, path=there.path, mean=there.mean, log_evidence=-inf)

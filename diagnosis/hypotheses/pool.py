@@ -7,18 +7,16 @@ from math import log
 import numpy as np
 from torch import Tensor
 
+from invdyn.diagnosis.catalogue import CatalogueEntry
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.problem.noise import is_outlier
 from invdyn.diagnosis.problem.prior import another, log_prior_of, tempered
 from invdyn.diagnosis.problem.regime import regimes
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect
-
-MISTAKES = ("outliers", "label_swap")
-"""Effects that make outliers, and are not tried where there are none."""
 
 
 @dataclass
@@ -66,7 +64,7 @@ class HypothesisPool:
 
     def temper_within(self, effect: Effect | None = None) -> float:
         """Power for intervals of an effect's parameters, or the body's: all gain counts for outliers."""
-        base = self.pool[""].log_evidence if effect is not None and effect.name in MISTAKES else self.cleaned
+        base = self.pool[""].log_evidence if effect is not None and is_outlier(effect) else self.cleaned
         return tempered(self.top - base, self.rules.evidence.temper_scale_within)
 
     def score(self, cause: FittedHypothesis) -> float:
@@ -94,7 +92,7 @@ class HypothesisPool:
     @property
     def cleaned(self) -> float:
         """The highest evidence of causes of outliers alone; of none, if there are none."""
-        return max(c.log_evidence for c in self.pool.values() if all(e.name in MISTAKES for e in c.effects))
+        return max(c.log_evidence for c in self.pool.values() if all(is_outlier(e) for e in c.effects))
 
     @property
     def ranked(self) -> list[FittedHypothesis]:
@@ -131,7 +129,7 @@ class HypothesisPool:
 
 def others(cause: FittedHypothesis) -> list[Effect]:
     """A cause's effects but those that make outliers."""
-    return [effect for effect in cause.effects if effect.name not in MISTAKES]
+    return [effect for effect in cause.effects if not is_outlier(effect)]
 
 
 def leaves(cause: FittedHypothesis, none: FittedHypothesis, rules: Rules = DEFAULT) -> bool:
@@ -155,23 +153,15 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
     # a servo follows an encoder that no log may have
     read = {"any": True, "keypoints": bool(tracked), "encoders": observation.encoders is not None or bool(servos)}
-    found = []
-    for name, kind in EFFECTS.items():
-        if name in without:
-            continue
-        if kind.side == "observation" and not read[kind.sensor]:
-            continue
-        found += [
-            effect.bound(body)
-            for effect in kind.everywhere(body, tracked)
-            if effect.tellable(commanded, bool(observation.data())) and _commandable(effect.bound(body), servos)
-        ]
-    return found
+    confident = bool(observation.data())
 
+    def shows(entry: CatalogueEntry, effect: Effect) -> bool:
+        torque = commanded and not servos & set(effect.place or servos)
+        given = {"": True, "command": commanded, "torque": torque, "confidence": confident}
+        return given[entry.need_of(effect)] and (effect.side == "dynamics" or read[effect.sensor])
 
-def _commandable(effect: Effect, servos: set[int]) -> bool:
-    """Whether what happens to a command could happen to the commands of the effect's motors: ``servos`` get targets."""
-    return not effect.needs_command or effect.of_targets or not servos & set(effect.place or servos)
+    every = problem.catalogue.without(without).everywhere(body, tracked)
+    return [effect for entry, effect in every if shows(entry, effect)]
 
 
 def needed(wanted: float, *, explained: bool, rules: Rules = DEFAULT) -> float:

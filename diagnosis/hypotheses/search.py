@@ -34,13 +34,13 @@ from torch import Tensor
 from invdyn.diagnosis.budget import Spent, attempt
 from invdyn.diagnosis.hypotheses.add import add, joinable, refine_best, screened_with
 from invdyn.diagnosis.hypotheses.continuation import continued, lifted
-from invdyn.diagnosis.hypotheses.pool import MISTAKES, HypothesisPool, considered, needed, others
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.swap import follow_neighbours, refine_regularised, without
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
-from invdyn.diagnosis.problem.noise import is_searched
+from invdyn.diagnosis.problem.noise import is_outlier, is_searched
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -136,7 +136,7 @@ def _refine_tracker_errors(found: HypothesisPool) -> None:
     problem = found.problem
     none = found.pool[""]
     for path in (path for path in (found.simulation_path, found.path) if path is not None):
-        for effect in (e for e in found.candidates if e.name in MISTAKES):
+        for effect in filter(is_outlier, found.candidates):
             base = replace(none, path=path)
             found.add(attempt(refine_searched, problem, base, effect))
         if found.best.complete:

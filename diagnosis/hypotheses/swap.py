@@ -1,6 +1,6 @@
 """The move to swap: an effect of what was found for its neighbours, from values that follow from its own.
 
-A neighbour is another effect in the place of one (:mod:`invdyn.models.effects.neighbours`), the same one in a
+A neighbour is another effect in the place of one (:mod:`..catalogue.neighbours`), the same one in a
 regularised form, or at another time. A screen along the data's path cannot see a twin in time or in the direction of
 gravity, because they shift the path itself. Of an effect that changes a period it sees what a little does. It does not
 see that a large load, made larger, hardly slows a swing any more. Where joints stick, Gauss–Newton may lose its way to
@@ -16,6 +16,7 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.budget import attempt
+from invdyn.diagnosis.catalogue.neighbours import Neighbour, neighbours
 from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, needed
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
@@ -27,7 +28,6 @@ from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import expanded_about
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.neighbours import Neighbour, neighbours
 
 RELATED = ("wider", "narrower")
 """Kinds of neighbours of which one is a special case of the other."""
@@ -51,7 +51,7 @@ def follow_neighbours(found: HypothesisPool, number: int) -> None:
             refine_regularised(found, cause)
         best = found.best
         if len(best.effects) == number:
-            _swap_each(found, best, ("alike",))
+            _swap_each(found, best, ("similar",))
 
 
 def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
@@ -69,7 +69,7 @@ def _rough(found: HypothesisPool, number: int) -> list[FittedHypothesis]:
     least, none = found.top - problem.rules.search.large_screen_error, found.pool[""].log_evidence
     if not found.explained:
         least = none + needed(found.top - none, explained=True, rules=problem.rules)
-    ideal = [c for c in _near(found, number, least) if any(effect.softened() is not None for effect in c.effects)]
+    ideal = [c for c in _near(found, number, least) if any(effect.nonideal() is not None for effect in c.effects)]
     rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     return sorted(rough, key=lambda cause: -cause.log_evidence)
 
@@ -79,10 +79,11 @@ def _swap_each(found: HypothesisPool, cause: FittedHypothesis, kinds: Container[
     problem = found.problem
     passive, taken = problem.regime.name == "passive", {effect.key for effect in cause.effects}
     for mine in cause.effects:
-        if "moment" in mine.located:
+        if any(p.located for p in mine.parameters(problem.model.scale)):
             _refine_moved(found, cause, mine)
         values, sd = of_effect(mine, cause.values), of_effect(mine, cause.sds)
-        for other in neighbours(mine, values, sd, found.candidates, problem.model.scale, passive):
+        given = found.candidates, problem.model.scale, passive, problem.catalogue
+        for other in neighbours(mine, values, sd, *given):
             if other.kind in kinds and other.effect.key not in taken and not problem.regime.hides(other.effect):
                 _follow(found, cause, mine, other)
 
@@ -98,14 +99,14 @@ def _follow(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other:
         done = there is not None and there.log_evidence > cause.log_evidence - (
             0.0 if related else problem.rules.search.equal_gain
         )
-    if other.kind == "alike":
+    if other.kind == "similar":
         its, ours = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
         done = done or (cause.complete and its >= ours)
     if not done and not _followed(found, cause, mine, other.effect, _softness(mine) if related else ""):
-        paths = {"twin": [cause.path, found.path], "alike": [found.path]}.get(other.kind, [cause.path])
+        paths = {"twin": [cause.path, found.path], "similar": [found.path]}.get(other.kind, [cause.path])
         form, starts = _as_soft(problem, cause, mine, other)
-        limits = early_stop_limits(found, found.pool[""]) if other.kind in ("alike", "wider") else {}
+        limits = early_stop_limits(found, found.pool[""]) if other.kind in ("similar", "wider") else {}
         for path, start in product(paths, starts):
             refined = instead(problem, cause, mine, form, start, path, best_size(problem, cause), **limits)
             found.add(refined)
@@ -115,7 +116,7 @@ def _follow(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other:
 
 def _softness(effect: Effect) -> str:
     """Which form it is."""
-    return " regularised" * effect.softness
+    return " regularised" * effect.variant
 
 
 def _as_soft(
@@ -125,8 +126,8 @@ def _as_soft(
     form = other.effect
     if other.kind not in RELATED:
         return form, [dict(start) for start in other.starts]
-    for _ in range(mine.softness):
-        form = form.softened() or form
+    for _ in range(mine.variant):
+        form = form.nonideal() or form
     wanted = {p.name for p in form.parameters(problem.model.scale)}
     kept = {name: value for name, value in of_effect(mine, cause.values).items() if name in wanted}
     return form, [kept | dict(start) for start in other.starts]
@@ -140,7 +141,7 @@ def refine_regularised(found: HypothesisPool, cause: FittedHypothesis) -> None:
     problem = found.problem
     for mine in cause.effects:
         form, best = mine, cause
-        while form.softened() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
+        while form.nonideal() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
             refined = regularised(problem, best, form, **early_stop_limits(found, found.pool[""]))
             if refined is None:
                 break
@@ -154,11 +155,12 @@ def regularised(
     problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any
 ) -> FittedHypothesis | None:
     """A cause with the regularised form of one of its effects, from its values and path; None where that has none."""
-    form = mine.softened()
+    form = mine.nonideal()
     if form is None:
         return None
     size = max(best_size(problem, cause), problem.rules.search.min_variant_size)
-    return instead(problem, cause, mine, form, form.as_soft(of_effect(mine, cause.values)), cause.path, size, **limits)
+    start = problem.catalogue.of(form).start(form, of_effect(mine, cause.values))
+    return instead(problem, cause, mine, form, start, cause.path, size, **limits)
 
 
 def early_stop_limits(found: HypothesisPool, base: FittedHypothesis) -> dict[str, float]:

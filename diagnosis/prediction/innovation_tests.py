@@ -32,7 +32,7 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm
 from invdyn.inference.posterior.jitter import jitter
-from invdyn.models.effects.base import Effect
+from invdyn.models.effects.base import stages_of
 from invdyn.models.observation.mixture import MistakenRows
 
 
@@ -64,7 +64,7 @@ def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.
 
 def noise_ratio(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
     """Size of the errors of prediction, in units of the noise that the recording shows; 1 where nothing is left."""
-    grows = any(type(effect).noise is not Effect.noise for effect in cause.effects)
+    grows = any("noise" in stages_of(effect) for effect in cause.effects)
     observation = cause.model.observation
     if not grows or observation.encoders or observation.keypoints is None:
         return cause.kappa

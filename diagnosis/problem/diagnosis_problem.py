@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.budget import Budget
+from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.conventions import check_conventions, refuse
 from invdyn.diagnosis.problem.labels import relabelled
@@ -50,6 +51,7 @@ class DiagnosisProblem:
         shape: (K,) the residual's size at each joint for size one, in typical torques; see :meth:`shaped`.
         rules: the numbers that the diagnosis follows.
         budget: what is left of it; all problems of one diagnosis share it.
+        catalogue: of the effects that are considered.
         checkpoint: where the units of the diagnosis are kept (:mod:`..kept_units`), or None.
     """
 
@@ -61,6 +63,7 @@ class DiagnosisProblem:
     rules: Rules = DEFAULT
     budget: Budget = field(default_factory=Budget, compare=False)
     checkpoint: Checkpoint | None = field(default=None, compare=False)
+    catalogue: Catalogue = field(default=CATALOGUE, compare=False)
 
     @property
     def model(self) -> ArmModel:

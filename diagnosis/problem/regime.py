@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invdyn.diagnosis.rules import DEFAULT, Rules
-from invdyn.models.effects.base import Effect
+from invdyn.models.effects.base import Effect, stages_of
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,7 @@ def regime_of(torques: np.ndarray | None, passive: bool, rules: Rules = DEFAULT)
 
 
 def imitable(effect: Effect) -> bool:
-    """Whether an unknown torque could do what an effect does."""
-    seen = type(effect).points is not Effect.points  # a base that shakes takes all points along
-    return (effect.side == "dynamics" and not seen) or effect.name in ("clock_rate", "camera_latency")
+    """Whether an unknown torque could do what an effect does: one that changes motion or time, and not what is seen."""
+    stages = set(stages_of(effect))
+    shown = effect.sensor == "encoders" or stages & {"points", "noise", "outlier", "mistiming"}
+    return not shown and (effect.side == "dynamics" or bool(stages))

@@ -16,7 +16,8 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArmModel
-from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.base import Effect
+from invdyn.models.effects.parameter import Parameter
 
 
 @dataclass(frozen=True)

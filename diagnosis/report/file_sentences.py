@@ -4,7 +4,6 @@ from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
 from invdyn.diagnosis.report.numbers import changed, handies, handy
 from invdyn.diagnosis.report.words import finding_words, place_words
 from invdyn.models.bodies.joint_parts import PARTS
-from invdyn.models.effects import EFFECTS
 
 
 def changes(diagnosis: Diagnosis) -> list[str]:
@@ -27,8 +26,8 @@ def at_edges(diagnosis: Diagnosis) -> list[str]:
     cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
     found = []
     for finding in cause.effects if cause is not None else ():
-        kind = EFFECTS.get(finding.effect)
-        for name, (edge, means) in kind.edges.items() if kind is not None else ():
+        entry = finding.entry
+        for name, (edge, means) in entry.limits.items() if entry else ():
             e = finding.parameters.get(name)
             if e is not None and max(map(abs, e.interval_90)) >= edge:
                 what = f"The {name.replace('_', ' ')} of {finding_words(finding)}"
@@ -42,7 +41,12 @@ def learned(diagnosis: Diagnosis) -> list[str]:
     cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
     if cause is None:
         return []
-    changed_too = {(f.where.get("joint"), EFFECTS[f.effect].filed[name]) for f in cause.effects for name in f.changes}
+    changed_too = {
+        (f.where.get("joint"), entry.body_file_fields[name])
+        for f in cause.effects
+        if (entry := f.entry)
+        for name in f.changes
+    }
     found = []
     for number in cause.learned:
         if number.quantity in PARTS and (number.place, number.quantity) not in changed_too:

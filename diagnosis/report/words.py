@@ -3,25 +3,25 @@
 import re
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, named
-from invdyn.models.effects.catalogue import EFFECTS
-from invdyn.models.effects.joint_limit import SIDES as STOPS
+from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
+from invdyn.models.effects.base import STOPS
 
 SIDES = {"dynamics": "how the arm moves", "observation": "how the motion is seen"}
 SHORT_SIDES = {"dynamics": "arm’s motion", "observation": "sensors’ view"}
 
 
-def effect_words(effect: str) -> str:
+def effect_words(effect: str, entry: CatalogueEntry | None = None) -> str:
     """An effect's name in a sentence."""
-    return EFFECTS[effect].phrase if effect in EFFECTS else effect.replace("_", " ")
+    entry = entry or CATALOGUE.get(effect)
+    return (entry.phrase if entry else "") or effect.replace("_", " ")
 
 
 def meaning(finding: Finding) -> str | None:
-    """What an effect is, in its regularised form too; None for one of the user's own."""
-    if finding.effect not in EFFECTS:
+    """What an effect is, in its non-ideal variant too; None for one of which the catalogue has no words."""
+    if (entry := finding.entry) is None or not entry.meaning:
         return None
-    kind = EFFECTS[finding.effect]
-    forms = [text for name, text in kind.form_words.items() if name in finding.parameters]
-    return "; ".join([kind.meaning, *forms])
+    variant = [text for name, text in entry.variant_words.items() if name in finding.parameters]
+    return "; ".join([entry.meaning, *variant])
 
 
 def place_words(kind: str, name: str) -> str:
@@ -34,7 +34,7 @@ def place_words(kind: str, name: str) -> str:
 
 def finding_words(finding: Finding) -> str:
     """An effect and its place: "viscous friction at the elbow"."""
-    return _placed(finding.effect, dict(finding.where))
+    return _placed(finding.effect, dict(finding.where), finding.entry)
 
 
 def cause_words(cause: Cause) -> str:
@@ -55,43 +55,41 @@ def key_words(key: str, diagnosis: Diagnosis) -> str:
     effect, _, place = key.partition(".")
     if not place:
         return effect_words(effect)
-    site = EFFECTS[effect].site if effect in EFFECTS else ""
+    entry = CATALOGUE.get(effect)
+    site = entry.effect.site if entry else ""
     first, _, form = place.rpartition(".")
-    if effect in EFFECTS and form in EFFECTS[effect].forms:
-        return f"{key_words(f'{effect}.{first}'.rstrip('.'), diagnosis)} {_form_words(effect, form)}"
-    kind = {"pair": "joint", "keypoints": "keypoint"}.get(site, site)
+    if entry and form in entry.effect.forms:
+        return f"{key_words(f'{effect}.{first}'.rstrip('.'), diagnosis)} {entry.forms.get(form, form)}"
+    kind = {"pair": "joint", "keypoints": "keypoint", "stop": "joint"}.get(site, site)
     names = {
         "joint": diagnosis.joint_names,
         "link": diagnosis.link_names,
         "keypoint": tuple(diagnosis.where.keypoints),
     }.get(kind, ())
-    if first in names and form in STOPS and effect in EFFECTS:
-        return _placed(effect, {kind: first, "stop": form})
+    if first in names and form in STOPS and site == "stop":
+        return _placed(effect, {kind: first, "stop": form}, entry)
     if site == kind and kind:
-        return _placed(effect, {kind: place})
+        return _placed(effect, {kind: place}, entry)
     for name in names:  # names may hold full stops themselves
         if place.startswith(f"{name}.") and (partner := place[len(name) + 1 :]) in names:
-            return _placed(effect, {kind: name, "partner": partner})
+            return _placed(effect, {kind: name, "partner": partner}, entry)
     return f"{effect_words(effect)} at {place}"
 
 
-def _placed(effect: str, where: dict[str, str]) -> str:
-    words, partner, form = effect_words(effect), where.pop("partner", None), where.pop("form", None)
+def _placed(effect: str, where: dict[str, str], entry: CatalogueEntry | None) -> str:
+    words, partner, form = effect_words(effect, entry), where.pop("partner", None), where.pop("form", None)
     if (stop := where.pop("stop", None)) is not None:
-        return f"{_placed(effect, where)}, {stop} side"
+        return f"{_placed(effect, where, entry)}, {stop} side"
     if form is not None:
-        return f"{_placed(effect, where)} {_form_words(effect, form)}"
+        return f"{_placed(effect, where, entry)} {entry.forms.get(form, form) if entry else form}"
     if not where:
         return words
     ((kind, name),) = list(where.items())[:1]
     place = place_words("" if kind in words.split() else kind, name)
     if partner is not None:
         return f"{words} between {place} and {place_words(kind, partner)}"
-    return f"{words} {'at' if kind != 'link' else 'on' if effect == 'payload' else 'of'} {place}"
-
-
-def _form_words(effect: str, form: str) -> str:
-    return EFFECTS[effect].form_words.get(form, form) if effect in EFFECTS else form
+    usual = "of" if kind == "link" else "at"
+    return f"{words} {(entry.preposition if entry else '') or usual} {place}"
 
 
 def variable_words(variable: str) -> str:

@@ -251,7 +251,7 @@ def _screened(
     screened: list[Screened] = []
     linear = linear_of(problem, model, path)
     about = filter_of(problem, model, path, levels, linear)
-    if not times and any("moment" in effect.located for effect in effects):
+    if not times and any(p.located for e in effects for p in e.bound(model.body).parameters(model.scale)):
         times = windows(problem, model, path, linear)
     for found, pieces, first in blocks(quick, effects, path, times, problem.rules):
         own = [_own(h, start) for h, start in zip(found, first, strict=True)]

@@ -22,6 +22,7 @@ from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.inference.smoothing.linearisation import emission_mean
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.composition import moves_body
 from invdyn.models.effects.hidden import HiddenHinge
 from invdyn.models.state_space import gaussian_mean
 
@@ -103,7 +104,7 @@ def _changed(
             path, f = latent_response(with_effect, path, len(sets), rules)
         else:
             # What the camera alone makes of it moves no arm.
-            f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if effect.moves else plain
+            f = gaussian_mean(with_effect.transition(path[..., :-1, :], rows[1:])) if moves_body(effect) else plain
         h = emission_mean(with_effect, path, rows)
         f = torch.cat([f[..., : hidden.start], f[..., hidden.stop :]], -1)
         return f.expand(len(sets), len(rows) - 1, -1), h.expand(len(sets), len(rows), -1)
@@ -132,10 +133,10 @@ def hypotheses(
     parameters = effect.parameters(model.scale)
     straight = [p for p in parameters if not p.grid]
     bent = [p for p in parameters if p.grid]
-    if "moment" in effect.located:
+    if any(p.located for p in parameters):
         points = [{"moment": (start + stop) / 2, "duration": stop - start} for start, stop in windows]
         bent = []
-        straight = [p for p in parameters if p.name not in effect.located]
+        straight = [p for p in parameters if not p.located]
         rare = -np.log(max(2 * model.scale.duration / rules.screening.burst_window, 1.0))
     else:
         names = [p.name for p in bent]

@@ -25,8 +25,6 @@ ZERO = "encoder zero"
 ZERO_ELSEWHERE = "subtract it from the log's angles, or from the joint's zero in the map"
 Z_90 = 1.645
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
-IN_PART = {"stribeck_friction": "its friction in motion is written; for what it has more near rest there is no word"}
-"""Effects of which a file says a part, and which."""
 NOT_SAID = "a simulation's file has no word for it"
 
 
@@ -73,10 +71,10 @@ def correction(cause: Cause, body: ArticulatedBody) -> Correction:
     changes: list[FileChange] = []
     unsaid: dict[str, str] = {}
     for finding in cause.effects:
-        if finding.effect in SAID:
-            changes += SAID[finding.effect](finding, body)
-            if finding.effect in IN_PART:
-                unsaid[finding.key] = IN_PART[finding.effect]
+        if (entry := finding.entry) and entry.file_change:
+            changes += SAID[entry.file_change](finding, body)
+            if entry.said_in_part:
+                unsaid[finding.key] = entry.said_in_part
         else:
             unsaid[finding.key] = NOT_SAID if finding.side == "dynamics" else SEEN
     said = {(change.place, change.quantity): place for place, change in enumerate(changes)}
@@ -123,12 +121,16 @@ def _moved(e: Estimate, before: float, factor: float = 1.0) -> tuple[float, floa
     return low, high
 
 
-def _part(quantity: str, parameter: str) -> Callable[[Finding, ArticulatedBody], list[FileChange]]:
-    def made(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
-        joint = finding.where["joint"]
-        return [_raised(finding, joint, quantity, parameter, getattr(_joint(body, joint), quantity))]
+def _part(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
+    """Parts of a joint, to which parameters add."""
+    joint, fields = finding.where["joint"], finding.entry.body_file_fields if finding.entry else {}
+    return [_raised(finding, joint, own, name, getattr(_joint(body, joint), own)) for name, own in fields.items()]
 
-    return made
+
+def _friction(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
+    """Friction that a joint has in motion."""
+    joint = finding.where["joint"]
+    return [_raised(finding, joint, "friction", "coulomb", _joint(body, joint).friction)]
 
 
 def _spring(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
@@ -208,17 +210,15 @@ def _sides(ends: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 SAID: dict[str, Callable[[Finding, ArticulatedBody], list[FileChange]]] = {
-    "viscous_friction": _part("damping", "damping"),
-    "coulomb_friction": _part("friction", "torque"),
-    "stribeck_friction": _part("friction", "coulomb"),
-    "armature": _part("armature", "inertia"),
-    "joint_stiffness": _spring,
-    "actuator_gain": _gain,
-    "actuator_saturation": _limit,
-    "actuator_delay": _delay,
+    "joint part": _part,
+    "friction in motion": _friction,
+    "spring": _spring,
+    "motor gain": _gain,
+    "motor limit": _limit,
+    "motor delay": _delay,
     "payload": _payload,
-    "inertial_error": _inertial,
-    "gravity_tilt": _gravity,
-    "encoder_offset": _zero,
+    "inertia": _inertial,
+    "gravity": _gravity,
+    "encoder zero": _zero,
 }
-"""Effects that a file can say."""
+"""What a file can say, by :attr:`.CatalogueEntry.file_change`."""

@@ -228,7 +228,7 @@ class ArmModel(StateSpaceModel):
 
     def _abrupt(self, effects: Composition) -> int:
         """Sub-steps of a row that forces which jump take; 1 where none does."""
-        return math.ceil(self.timeline.dt.median().item() / effects.longest) if effects.abrupt else 1
+        return math.ceil(self.timeline.dt.median().item() / effects.max_substep) if effects.abrupt else 1
 
     # -- the same body under other circumstances -------------------------------------------------
     def _with(self, **parts: Any) -> Self:

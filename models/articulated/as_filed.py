@@ -20,10 +20,7 @@ from torch.nn.functional import one_hot
 
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import ABRUPT, Effect, Parameter, Values, with_entry
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import ABRUPT, Command, Effect, Parameter, Scale, Situation, Values, with_entry
 
 
 class Filed(Effect):
@@ -33,18 +30,9 @@ class Filed(Effect):
         super().__init__(joint)
         self.place, self.parts = (number,), parts
 
-    @property
-    def prefix(self) -> str:
-        """Of the body's numbers."""
-        return "body."
-
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """None of its own."""
         return ()
-
-    def number(self, p: Values, name: str) -> Tensor:
-        """Its joint's, (..., 1)."""
-        return p[name][..., self.place[0] : self.place[0] + 1]
 
 
 class FiledPassive(Filed):
@@ -53,8 +41,8 @@ class FiledPassive(Filed):
     def force(self, p: Values, now: Situation) -> Tensor:
         """−b θ̇ − k (θ − θ₀)."""
         j, own = self.place[0], self.parts
-        q, qd = now.q[..., j : j + 1], now.qd[..., j : j + 1]
-        return now.at(j, -self.number(p, "damping") * qd - self.number(p, "stiffness") * (q - own.rest))
+        q, qd = self.own(now.q), self.own(now.qd)
+        return now.at(j, -self.own(p["damping"]) * qd - self.own(p["stiffness"]) * (q - own.rest))
 
 
 class FiledRotor(Filed):
@@ -68,48 +56,42 @@ class FiledRotor(Filed):
 class FiledFriction(Filed):
     """Dry friction of level f."""
 
-    longest = ABRUPT
+    max_substep = ABRUPT
     steady = True
 
     def friction(self, p: Values, now: Situation) -> Tensor:
         """F."""
-        return self.number(p, "friction")
+        return self.own(p["friction"])
 
 
 class FiledLimit(Filed):
     """The limits of a motor that is told torques."""
 
-    needs_command, order = True, -2
+    order = -2
 
     def command(self, p: Values, command: Command) -> Command:
         """clip(u, low, high)."""
         j, motor = self.place[0], self.parts.motor
         assert motor is not None  # a limit is of one
-        return command.changed(
-            lambda torque: with_entry(torque, j, torque[..., j : j + 1].clamp(motor.low, motor.high))
-        )
+        return command.changed(lambda torque: with_entry(torque, j, self.own(torque).clamp(motor.low, motor.high)))
 
 
 class FiledServo(Filed):
     """What a servo answers to angle and velocity, −S θ − D θ̇; with its target's torque it keeps to its limits."""
 
-    drives = True
-
-    def force(self, p: Values, now: Situation) -> Tensor:
+    def answer(self, p: Values, now: Situation) -> Tensor:
         """−S θ − D θ̇, cut where the whole reaches a limit; a torque that nobody commands is not the motor's."""
         j, motor = self.place[0], self.parts.servo
         assert motor is not None
-        own = -motor.stiffness * now.q[..., j : j + 1] - motor.damping * now.qd[..., j : j + 1]
+        own = -motor.stiffness * self.own(now.q) - motor.damping * self.own(now.qd)
         if motor.limited:
-            told = (now.motor if now.told is None else now.told)[..., j : j + 1]
-            own = (told + own).clamp(motor.low, motor.high) - told
+            given = self.own(now.motor if now.commanded is None else now.commanded)
+            own = (given + own).clamp(motor.low, motor.high) - given
         return now.at(j, own)
 
 
 class FiledStep(Filed):
     """First-order steps of h: the command acts h/2 early, dampers as an inertia (:mod:`..bodies.joint_parts`)."""
-
-    needs_command = True
 
     def command(self, p: Values, command: Command) -> Command:
         """U(t + h/2)."""

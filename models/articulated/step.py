@@ -190,8 +190,8 @@ class Mechanics:
         """The moment a share ``s`` of the row after it has begun."""
         time, elapsed = (reading + s * drive.interval for reading in drive.clock)
         step = drive.dt / drive.parts
-        motor, told = drive.motor(s), drive.told(s) if self.effects.has_servo else None
-        return Situation(q, qd, motor, time, elapsed, step, drive.body, self.dynamics, told=told)
+        motor, commanded = drive.motor(s), drive.told(s) if self.effects.has_servo else None
+        return Situation(q, qd, motor, time, elapsed, step, drive.body, self.dynamics, commanded=commanded)
 
     def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""

@@ -1,4 +1,4 @@
-"""What motors make of a command, at one joint or at all of them alike."""
+"""Motors at one joint, or at all joints with equal values."""
 
 from collections.abc import Sequence
 from typing import Self
@@ -7,18 +7,15 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Scale
 
 
 class Actuator(Effect):
-    """Base of the effects on a command: ``ActuatorGain("elbow")``, or ``ActuatorGain()`` for all joints alike."""
-
-    needs_command = True
+    """Base of effects on a command: ``ActuatorGain("elbow")``, or ``ActuatorGain()`` for all joints together."""
 
     def __init__(self, *where: str):
-        alone = not where or (len(where) == 1 and where[0] in self.forms)
-        super().__init__(*(("all",) if alone else ()), *where)
+        every = not where or (len(where) == 1 and where[0] in self.forms)
+        super().__init__(*(("all",) if every else ()), *where)
         self.where = where
 
     @classmethod
@@ -29,7 +26,7 @@ class Actuator(Effect):
         return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
 
     def of(self, values: list[float]) -> float:
-        """What of each joint's ``values`` goes for this actuator: its own, or the joints' mean."""
+        """Its own joint's of all joints' ``values``, or their mean."""
         return values[self.place[0]] if self.place else sum(values) / len(values)
 
     def at_joints(self, value: Tensor, joints: int) -> Tensor:

@@ -4,22 +4,16 @@ import torch
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, with_entry
 
 
 class ActuatorDeadzone(Effect):
     """Torque 0 for commands within ±d, and smaller by d beyond.
 
-    Told apart from a gain by small commands.
+    Small commands distinguish it from a gain.
     """
 
-    phrase = "an actuator dead zone"
-    meaning = "commands too small to turn into torque"
-    shown_by = "small commands"
-
-    needs_command, order = True, -4
+    order = -4
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Half-width d, N·m."""
@@ -27,10 +21,9 @@ class ActuatorDeadzone(Effect):
 
     def command(self, p: Values, command: Command) -> Command:
         """U − clip(u, ±d)."""
-        j, width = self.place[0], p["width"]
 
         def shrunk(torque: Tensor) -> Tensor:
-            own = torque[..., j : j + 1]
-            return with_entry(torque, j, own - torch.maximum(torch.minimum(own, width), -width))
+            u, d = self.own(torque), p["width"]
+            return with_entry(torque, self.place[0], u - torch.maximum(torch.minimum(u, d), -d))
 
         return command.changed(shrunk)

@@ -5,22 +5,16 @@ from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.models.effects.actuator import Actuator
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.parameter import Parameter, Values, quantiles
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Command, Parameter, Scale, Values, quantiles
 
 
 class ActuatorLag(Actuator):
-    """A first-order lag between a command and its torque.
+    """A first-order lag between a command and its torque. ``dyntype="filter"`` in MuJoCo.
 
-    Told apart from a delay above the angular frequency 1/T. ``dyntype="filter"`` in MuJoCo.
+    Commands above the angular frequency 1/T distinguish it from a delay.
     """
 
-    phrase = "actuator lag"
-    meaning = "torques that follow the command sluggishly"
-    shown_by = "a command that sweeps to high frequencies"
-
-    of_targets, order = True, -3
+    order = -3
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Time constant T, s."""
@@ -31,7 +25,7 @@ class ActuatorLag(Actuator):
         """The lagging torque, at rest with the first command."""
         return command.lagged(self.at_joints(p["time_constant"], command.mean.shape[-1]))
 
-    def late(self, p: Values, elapsed: Tensor, joints: int) -> Tensor:
+    def late(self, p: Values, elapsed: Tensor) -> Tensor:
         """exp(−t/T)."""
-        T = self.at_joints(p["time_constant"], joints)
+        T = self.at_joints(p["time_constant"], elapsed.shape[-1])
         return torch.exp(-elapsed / T.clamp_min(1e-12)) * (T > 0)

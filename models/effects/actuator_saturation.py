@@ -4,25 +4,20 @@ import math
 
 import torch
 from pyro.distributions import LogNormal
+from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values, with_entry
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, with_entry
 
 QUANTILES = (0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 0.97)
 
 
 class ActuatorSaturation(Effect):
-    """Torque clip(u, ±u_max) at a joint; absent at an infinite u_max.
+    """Torque clip(u, ±u_max) at a joint; absent at an infinite u_max. As ``forcerange`` in MuJoCo.
 
-    Told apart from a gain by commands of several amplitudes. As ``forcerange`` in MuJoCo.
+    Commands of several amplitudes distinguish it from a gain.
     """
 
-    phrase = "actuator saturation"
-    meaning = "torques that stop growing at a limit"
-    shown_by = "a ladder of amplitudes"
-
-    needs_command, order = True, -2
+    order = -2
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Largest torque u_max, N·m; the grid follows the command's own sizes."""
@@ -34,7 +29,9 @@ class ActuatorSaturation(Effect):
 
     def command(self, p: Values, command: Command) -> Command:
         """clip(u, ±u_max)."""
-        j, limit = self.place[0], p["limit"]
-        return command.changed(
-            lambda torque: with_entry(torque, j, torch.maximum(torch.minimum(torque[..., j : j + 1], limit), -limit))
-        )
+
+        def clipped(torque: Tensor) -> Tensor:
+            limit = p["limit"]
+            return with_entry(torque, self.place[0], torch.maximum(torch.minimum(self.own(torque), limit), -limit))
+
+        return command.changed(clipped)

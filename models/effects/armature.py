@@ -1,30 +1,20 @@
-"""The inertia of a geared motor's rotor, felt at its joint: I_a θ̈."""
-
-from collections.abc import Mapping
-from typing import ClassVar
+"""The inertia of a geared motor's rotor at its joint: I_a θ̈."""
 
 import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.change import change
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, change
 
 
 class Armature(Effect):
-    """Inertia on the diagonal of the mass matrix, which weighs nothing.
+    """Inertia on the diagonal of the mass matrix, without weight. As ``armature`` in MuJoCo.
 
-    Told apart from a payload by statics, from stiffness by the frequency. As ``armature`` in MuJoCo.
+    Statics distinguish it from a payload, the frequency from stiffness.
     """
 
-    phrase = "rotor inertia"
-    meaning = "inertia of the motor that resists the joint's acceleration"
-    shown_by = "fast motion about a posture that needs no holding torque"
-    filed: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
-
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Inertia I_a as seen behind the gear, kg·m²."""
+        """Inertia I_a behind the gear, kg·m²."""
         j = self.place[0]
         return (change("inertia", "kg·m²", 0.4 * scale.inertia[j], scale.filed("armature", j)),)
 

@@ -1,21 +1,21 @@
-"""Play between a motor and its joint: a gap ψ that is free within ±width/2.
+"""Backlash between a motor and its joint: a gap ψ that is free within ±width/2.
 
 The motor turns a rotor of half the link's own inertia about its centre of mass, taken from the link, so that without
-play nothing is changed; ψ is how far the link is ahead of it. What a joint has of its own, motor, friction, spring,
+backlash nothing is changed; ψ is how far the link is ahead of it. What a joint has of its own, motor, friction, spring,
 stop and inertia, is on the rotor's side, and knows of its angle and velocity alone. Each short sub-step is either
 
-    held     at an end of the gap, with the stop pushing: the rigid arm, ψ at rest
+    closed   at an end of the gap, with the stop pushing: the rigid arm, ψ at rest
     free     the motor drives the rotor alone; a gap that would leave its ends strikes a stop, and keeps momentum:
              with M the mass matrix, Δrates = −(1 + e) M⁻¹e_ψ ψ̇ / (e_ψᵀ M⁻¹ e_ψ)
 
 Stops are stiff springs, critically damped: what strikes one at v leaves as soon as that no longer pushes, after 2/ω in
-v (1 − ωt) exp(−ωt), with e = exp(−2) of its speed. A slow impact, of which nobody could see that, gives nothing back,
+v (1 − ωt) exp(−ωt), with e = exp(−2) of its speed. A slow impact, in which that would not show, gives nothing back,
 so that few of them end each bounce.
 
 Where contact begins or ends a sub-step ends with it (event location: Hairer, Nørsett & Wanner, "Solving Ordinary
 Differential Equations I", II.6; :mod:`invdyn.models.dynamics.dense_output`), and the rest of that is a sub-step of
 its own: through contacts, too, errors fall with the fourth power of the sub-step. Left to its end they fell with
-the first, and one recording of 259 rows lost 98 nats by that. More contacts than a row has room for do wait for
+the first, which cost one recording of 259 rows 98 nats. More contacts than a row has room for do wait for
 the end (Moreau's time-stepping) and give nothing back. Such an impact was earlier by the time that the gap took to
 become too wide. Δangles = the same of that excess, in place of (1 + e) ψ̇, keeps the centre of inertia.
 """
@@ -34,9 +34,8 @@ from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
-from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
-from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column
 
 ROTOR_SHARE = 0.5
@@ -51,14 +50,10 @@ CONTACTS = 4
 
 
 class Backlash(HiddenHinge):
-    """Play of a gear at a joint, ``width`` from stop to stop.
+    """Backlash of a gear at a joint, ``width`` from stop to stop.
 
-    Told apart from Coulomb friction by slow reversals of the load.
+    Slow reversals of the load distinguish it from Coulomb friction.
     """
-
-    phrase = "backlash"
-    meaning = "play between motor and joint"
-    shown_by = "slow reversals of the load"
 
     forgets = True
 
@@ -95,7 +90,7 @@ class Backlash(HiddenHinge):
         return joined_by_column(angles[..., :j], rotor + hinge, angles[..., j + 2 :]), hinge
 
     def own_angles(self, angles: Tensor) -> Tensor:
-        """The rotor's, as what a joint has of its own is on the motor's side of its play."""
+        """The rotor's, as what a joint has of its own is on the motor's side of the gap."""
         j = self.place[0]
         return joined_by_column(angles[..., : j + 1], angles[..., j + 2 :])
 
@@ -112,9 +107,9 @@ class Backlash(HiddenHinge):
         taken = torch.zeros_like(psi)  # sub-steps; what ends one early leaves the rest of it to the next
         loosened = taken > 0
         for left in reversed(range(parts + CONTACTS)):
-            begun = taken.floor()
-            going, room = begun < parts, parts - begun <= left
-            s, part = taken / parts, torch.where(going, begun + 1 - taken, 0.0) / parts
+            started = taken.floor()
+            going, room = started < parts, parts - started <= left
+            s, part = taken / parts, torch.where(going, started + 1 - taken, 0.0) / parts
             h, angles, rates = part * dt, self.all_hinges(q, psi), self.all_hinges(qd, rate)
 
             held = _within(partial(arm.held, psi), q, qd, s, part)
@@ -122,7 +117,7 @@ class Backlash(HiddenHinge):
             ends = rigid_motion.x1, rigid_motion.v1
             push = arm.push(psi, q, qd, rigid_motion.a0, s)
             pushes = ((psi <= -half) & (rate <= 0) & (push > 0)) | ((psi >= half) & (rate >= 0) & (push < 0))
-            pushes = pushes & ~loosened  # whatever is left of the push where it ended
+            pushes = pushes & ~loosened  # what is left of the push where it ended
             later = arm.push(psi, *ends, held(*ends, 1.0), s + part)
             loosened = pushes & (push * later < 0) & room
             release = torch.where(loosened, push / torch.where(loosened, push - later, 1.0), 1.0)
@@ -146,7 +141,7 @@ class Backlash(HiddenHinge):
             after = (*joints, gap, torch.where(pushes, 0.0, rate_free))
             q, qd, psi, rate = (torch.where(going, *each) for each in zip(after, (q, qd, psi, rate), strict=True))
             early = taken + release * contact * parts * part
-            taken = torch.where(loosened | hit, early, torch.where(going, begun + 1, taken))
+            taken = torch.where(loosened | hit, early, torch.where(going, started + 1, taken))
             if bool((taken >= parts).all()):
                 break
         loose = (join(psi, rate), q, qd)
@@ -158,7 +153,7 @@ class Backlash(HiddenHinge):
 
 @dataclass(frozen=True)
 class _Mechanics:
-    """An arm with play: what moves it while a stop holds, while none does, and as one strikes."""
+    """An arm with backlash: what moves it while a stop holds, while none does, and as one strikes."""
 
     hinge: Backlash
     row: Row
@@ -184,9 +179,9 @@ class _Mechanics:
     def push(self, psi: Tensor, q: Tensor, qd: Tensor, qdd: Tensor, s: float | Tensor) -> Tensor:
         """Torque (..., 1) that a stop would have to give for the gap to stay as it is."""
         still = torch.zeros_like(psi)
-        spread = self.hinge.all_hinges
-        angles, rates = spread(q, psi), spread(qd, still)
-        needed = self.whole.inverse(angles, rates, spread(qdd, still), self.links) - self.row.pull(angles, rates, s)
+        hinges = self.hinge.all_hinges
+        angles, rates = hinges(q, psi), hinges(qd, still)
+        needed = self.whole.inverse(angles, rates, hinges(qdd, still), self.links) - self.row.pull(angles, rates, s)
         return needed[..., self.hinge.place[0] + 1, None]
 
     def impact(self, angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor:

@@ -6,11 +6,8 @@ import torch
 from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
-from invdyn.models.shapes import join, joined_by_column
+from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values, View
+from invdyn.models.shapes import joined_by_column
 
 LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at most
 
@@ -18,17 +15,11 @@ LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at m
 class BaseMotion(Effect):
     """The base moves to and fro in the plane, t from the first row: every keypoint by b(t), and gravity by −b̈.
 
-    Told apart from a shaking camera by tracking the base and the background.
+    Tracks of the base and the background distinguish it from a shaking camera.
     """
-
-    phrase = "base motion"
-    meaning = "a base that moves"
-    shown_by = "tracking the base and a point of the background"
 
     planar = True
     site = "arm"
-    pulls = True
-    dated = True
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Amplitudes, m, of sine and cosine along x and y, and frequency f, Hz.
@@ -42,23 +33,7 @@ class BaseMotion(Effect):
         frequency = Parameter("frequency", "Hz", LogNormal(math.log(2.5), 0.8), None, tuple(grid.tolist()))
         return (*(Parameter(name, "m", amplitude) for name in names), frequency)
 
-    def described(self, values: Values) -> dict[str, tuple[Tensor, str]]:
-        """(A_x, A_y) sin(2πft + φ), the one that is closest; the larger of A_x and A_y is positive."""
-        sine, cosine = (join(values[f"{part}_x"], values[f"{part}_y"]) for part in ("sine", "cosine"))
-        phase = torch.atan2(2 * (sine * cosine).sum(-1), (sine**2 - cosine**2).sum(-1)) / 2
-        amplitude = sine * phase.cos().unsqueeze(-1) + cosine * phase.sin().unsqueeze(-1)
-        larger = amplitude.gather(-1, amplitude.abs().argmax(-1, keepdim=True))
-        negative = larger.squeeze(-1) < 0
-        amplitude = torch.where(negative.unsqueeze(-1), -amplitude, amplitude)
-        phase = torch.where(negative, phase - math.pi * torch.sign(phase), phase)
-        return {
-            "amplitude_x": (amplitude[..., :1], "m"),
-            "amplitude_y": (amplitude[..., 1:], "m"),
-            "frequency": (values["frequency"], "Hz"),
-            "phase": (phase.unsqueeze(-1), "rad"),
-        }
-
-    def force(self, p: Values, now: Situation) -> Tensor:
+    def pull(self, p: Values, now: Situation) -> Tensor:
         """The load of the gravity −b̈ = (2πf)² b that the base's frame has in addition."""
         extra = (2 * math.pi * p["frequency"]) ** 2 * _shift(p, now.elapsed)
         return -now.dynamics.gravity_load(now.q, now.body._replace(gravity=extra))

@@ -1,11 +1,11 @@
 """Dry friction through bristles that bend before they slip (LuGre: Canudas de Wit, Olsson, Åström & Lischinsky 1995).
 
-A joint that is held is held by a spring: over some thousandths of a radian friction grows from nothing to its level L,
+A joint at rest hangs on a spring: over some thousandths of a radian friction grows from nothing to its level L,
 and has to be bent back where the joint turns around. With s the bristles' deflection, rad,
 
     ṡ = θ̇ − σ₀ |θ̇| s / L        friction = −σ₀ s − σ₁ ṡ
 
-which slides with −L sgn θ̇, whatever L depends on, speed (Stribeck's curve) or load; L constant and σ₁ = 0 is Dahl's
+which slides with −L sgn θ̇, where L may depend on speed (Stribeck's curve) or load; L constant and σ₁ = 0 is Dahl's
 model. σ₀ → ∞ is the ideal law. MuJoCo's ``dcmotor`` has it as ``lugre``.
 
 Deflections that follow faster than a sub-step h can, at σ₀ |θ̇| h / L > 1, do so as fast as it can: a joint that slides
@@ -13,7 +13,7 @@ like that has bent them as far as they go.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Self
 
 import torch
@@ -21,10 +21,8 @@ from pyro.distributions import LogNormal
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values
 from invdyn.models.effects.hidden import Hidden
-from invdyn.models.effects.scale import Scale
 
 LONGEST = 0.002
 """s, sub-step that follows a joint swinging on its bristles."""
@@ -42,27 +40,12 @@ class BristleFriction(Hidden):
         of: the friction in its ideal form, bound or not.
     """
 
-    soft = True
+    variant = 2
     states = 1
-    longest = LONGEST
+    max_substep = LONGEST
 
     def __init__(self, of: Effect):
-        self.of, self.where, self.form, self.place = of, of.where, of.form, of.place
-
-    @property
-    def contains(self) -> Mapping[str, Mapping[str, str]]:  # type: ignore[override]  # of whichever friction it softens
-        """The friction's."""
-        return self.of.contains
-
-    @property
-    def name(self) -> str:
-        """That of the friction."""
-        return self.of.name
-
-    @property
-    def softness(self) -> int:
-        """Beyond a friction that creeps."""
-        return 2
+        self.of, self.name, self.where, self.form, self.place = of, of.name, of.where, of.form, of.place
 
     def bound(self, body: ArticulatedBody) -> Self:
         """See :meth:`Effect.bound`."""
@@ -79,28 +62,14 @@ class BristleFriction(Hidden):
             Parameter("bristle_damping", "N·m·s/rad", LogNormal(math.log(0.3 * damping), 1.2), None, (0.3 * damping,)),
         )
 
-    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
-        """See :meth:`Effect.credible`."""
-        return self.of.credible(mean, sd, scale)
-
-    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
-        """The levels of a friction that creeps."""
-        return {name: value for name, value in ideal.items() if name not in ("settling", "creep")}
-
-    def softened(self) -> None:
-        """There is none."""
-        return None
-
     def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
         """As far as typical friction bends them."""
         return (BENT,)
 
     def level(self, p: Values, now: Situation) -> Tensor:
         """L, (..., 1) N·m."""
-        level = self.of.friction(p, now)
-        if level is None:
-            raise TypeError(f"{self.of.name} is no dry friction")
-        return level
+        friction: Callable[[Values, Situation], Tensor] = self.of.friction  # type: ignore[attr-defined]  # a dry friction
+        return friction(p, now)
 
     def bending(self, p: Values, s: Tensor, speed: Tensor, level: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
         """Friction (..., 1) N·m, and ṡ rad/s, at a joint's ``speed`` in a sub-step of ``step`` s."""

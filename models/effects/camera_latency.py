@@ -6,31 +6,18 @@ the motors', are ahead:
     u'(t) = u(t − δ),     encoders show θ(t + δ)
 """
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.parameter import Parameter, Values, quantiles
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, View, quantiles
 
 
 class CameraLatency(Effect):
-    """The picture in a row was taken δ before its time.
+    """The picture in a row was taken δ before its time. Encoders are followed over δ
+    (:mod:`..articulated.observation_model`).
 
-    Encoders are followed over δ (:mod:`..articulated.observation_model`).
-
-    Without encoders it cannot be told from motors that act late, and without commands either from nothing at all.
+    Only encoders distinguish it from motors that act late. Without commands, too, it has no effect at all.
     """
-
-    phrase = "camera latency"
-    meaning = "positions that are stamped later than they were"
-    shown_by = "a common clock of camera and motors, such as a light that the command switches"
-    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"actuator_delay": {"latency": "delay"}}
 
     side, site = "observation", "arm"
 

@@ -3,20 +3,15 @@
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.optics import Optics
-from invdyn.models.effects.scale import Scale
 
 
 class CameraScale(Optics):
     """All points s times as far from the origin as they are.
 
-    Cannot be told from longer links unless the base is off the origin or gravity's strength is known.
+    Only a base off the origin or a known strength of gravity distinguishes it from longer links.
     """
-
-    phrase = "a camera scale error"
-    meaning = "positions larger or smaller by one factor"
-    shown_by = "an object of known size in view"
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Factor s, a pure number."""

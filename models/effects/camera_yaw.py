@@ -6,20 +6,15 @@ import torch
 from pyro.distributions import LogNormal, StudentT
 from torch import Tensor
 
-from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.optics import Optics
-from invdyn.models.effects.scale import Scale
 
 
 class CameraYaw(Optics):
-    """The plane is turned by ψ about the vertical through the origin, its +x side away from the camera at D.
+    """The plane is rotated by ψ about the vertical through the origin, its +x side away from the camera at D.
 
-    What is farther away looks smaller: that asymmetry tells it apart from a scale.
+    What is farther away looks smaller: that asymmetry distinguishes it from a scale.
     """
-
-    phrase = "camera yaw"
-    meaning = "a plane of motion that is seen obliquely"
-    shown_by = "a grid of known size in the plane of motion"
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle ψ, rad: few cameras stand far from square; distance D of the camera from the origin, m."""

@@ -1,13 +1,15 @@
 """Every effect by its canonical name: dynamics first, then what only sensors see, each in order of the alphabet.
 
-The catalogue is gathered from the files beside this one: ``viscous_friction.py`` with the class ``ViscousFriction``
+They are gathered from the files of this folder: ``viscous_friction.py`` with the class ``ViscousFriction``
 is the effect "viscous_friction". Abstract classes, and files whose classes have other names, are what effects share.
 """
 
 import inspect
 import pkgutil
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 from invdyn.models.effects.base import Effect, effect_name
 
@@ -26,4 +28,4 @@ def gathered(folder: Path, package: str) -> dict[str, type[Effect]]:
     return dict(sorted(found.items(), key=lambda entry: (entry[1].side, entry[0])))
 
 
-EFFECTS: dict[str, type[Effect]] = gathered(Path(__file__).parent, __package__)
+EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(gathered(Path(__file__).parent, __package__))

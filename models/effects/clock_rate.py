@@ -1,31 +1,20 @@
 """Frames taken at another rate than stated: their true times are t₀ + (t − t₀)/s."""
 
-from collections.abc import Mapping
 from typing import ClassVar
 
 from pyro.distributions import LogNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.command import Command
-from invdyn.models.effects.parameter import Parameter, Values, quantiles
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, quantiles
 
 
 class ClockRate(Effect):
     """The frame clock runs at s times the stated rate: true time = stated time / s.
 
-    One clock stamps all rows, commands keep to those that they were recorded in. Passive, it cannot be told from
-    another strength of gravity. ``ClockRate("frames")`` are sensors with a clock of their own, while commands keep
-    true time; both agree at the first row.
+    One clock stamps all rows; commands stay in the rows in which they were recorded. In a passive recording only a
+    known strength of gravity shows it. ``ClockRate("frames")`` are sensors with a clock of their own, while commands
+    keep true time; both agree at the first row.
     """
-
-    phrase = "a clock-rate error"
-    meaning = "frames that are further apart in time, or less far, than stated"
-    shown_by = "a clock in view of the camera"
-    form_words: ClassVar[Mapping[str, str]] = {
-        "frames": "of the sensors alone, while commands keep true time",
-    }
 
     side, site, sensor, order = "observation", "arm", "any", 1
     forms: ClassVar[tuple[str, ...]] = ("frames",)
@@ -35,10 +24,6 @@ class ClockRate(Effect):
         prior = LogNormal(0.0, 0.15)
         # By the end of a recording even a little of it is late by as much as commands take to change.
         return (Parameter("rate", "1", prior, 1.0, quantiles(prior, 24) if self.form else ()),)
-
-    def tellable(self, commanded: bool, confident: bool) -> bool:
-        """See :meth:`Effect.tellable`: without commands there is one clock."""
-        return commanded or self.form is None
 
     def command(self, p: Values, command: Command) -> Command:
         """The command at the true time, t_0 + (t − t_0) / s."""

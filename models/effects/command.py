@@ -1,12 +1,12 @@
 """A commanded torque as the motors make it: within each row a straight line.
 
-A command is held from its row to the next. What a delay or a lag makes of it is no longer constant within a row. A
+A command is constant from its row to the next. What a delay or a lag makes of it is no longer constant within a row. A
 straight line with the same impulse ∫u dt and first moment ∫u t dt stands for it. The line's effect on the arm differs
 only in the third order of the row's length.
 
     u(t_r + s δ_r) = mean_r + slope_r (s − ½),   0 ≤ s < 1
 
-Shapes: times (T,), mean and slope (..., T, K); row r leads from time r to the next, the last one goes on as long as
+Shapes: times (T,), mean and slope (..., T, K); row r lasts from time r to the next, the last one as long as
 the one before it. Before the first row the command was what it is there.
 """
 
@@ -36,7 +36,7 @@ class Command:
 
     @classmethod
     def held(cls, time: Tensor, torque: Tensor) -> "Command":
-        """A command (T, K) that is held within each row."""
+        """A command (T, K) that is constant within each row."""
         return cls(time, torque, torch.zeros_like(torque))
 
     @property
@@ -50,7 +50,7 @@ class Command:
         return Command(self.time.to(device), self.mean.to(device), self.slope.to(device))
 
     def row(self, t: int | Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and slope of the row that leads into row ``t``, (..., K), beside states (..., K)."""
+        """Mean and slope of the row before row ``t``, (..., K), of the shape of states (..., K)."""
         rows = [value.movedim(-1, 0)[..., t - 1].movedim(0, -1) for value in (self.mean, self.slope)]
         single = isinstance(t, int) or t.ndim == 0
         mean, slope = (row.unsqueeze(-2) if single and row.ndim > 1 else row for row in rows)
@@ -89,7 +89,7 @@ class Command:
     def ahead(self, start: Tensor, seconds: Tensor) -> Tensor:
         """What moves an arm within τ = ``seconds`` (..., R, 1) of ``start`` (R,) or (): 2/τ² ∫₀^τ (τ − s) u ds.
 
-        Backwards where τ < 0. In float64, whatever the command's type: it is a small difference of integrals.
+        Backwards where τ < 0. In float64, for a command of any type: it is a small difference of integrals.
         """
         exact, span = self._exact, torch.where(seconds.abs() < INSTANT, INSTANT, seconds).double()
         start = start.double().unsqueeze(-1)
@@ -154,7 +154,7 @@ class Command:
         return P + u * since + bent, W + P * since + u * since**2 / 2 + twice_bent
 
     def lagged(self, time_constant: Tensor) -> "Command":
-        """First-order lag T u̇_f + u_f = u, T seconds, (K,) or (..., 1, K); it takes the rows' means for held."""
+        """First-order lag T u̇_f + u_f = u, T seconds, (K,) or (..., 1, K); the rows' means count as constant."""
         ratio = time_constant / self.length  # (..., T, K); a floor only where it is divided by, for a slope at no lag
         shape = common(self.mean.shape, ratio.shape)
         u, left = self.mean.expand(shape), torch.exp(-1 / ratio.clamp_min(1e-6)).expand(shape)

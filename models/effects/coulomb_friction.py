@@ -1,29 +1,18 @@
 """Dry friction of a joint: −τ_c sgn θ̇."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 from torch import Tensor
 
-from invdyn.models.effects.base import Parameter, Values
-from invdyn.models.effects.change import change
-from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.base import Parameter, Scale, Situation, Values, change
 from invdyn.models.effects.regularised_friction import RegularisedFriction
-from invdyn.models.effects.scale import Scale
 
 
 class CoulombFriction(RegularisedFriction):
-    """Torque −τ_c sgn θ̇ at a joint, whatever its speed; a joint at rest sticks.
+    """Torque −τ_c sgn θ̇ at a joint, at any speed; a joint at rest sticks. As ``frictionloss`` in MuJoCo.
 
-    Told apart from viscous friction by motion at several amplitudes. As ``frictionloss`` in MuJoCo.
+    Motion at several amplitudes distinguishes it from viscous friction.
     """
 
-    phrase = "Coulomb friction"
-    meaning = "a torque of one size against the motion, whatever the speed"
-    shown_by = "slow reversals at several amplitudes"
-    filed: ClassVar[Mapping[str, str]] = {"torque": "friction"}
-
-    steady: ClassVar[bool] = True
+    steady = True
 
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:
         """Friction torque τ_c, N·m."""

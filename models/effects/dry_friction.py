@@ -10,18 +10,18 @@ joint, and for any that all stick. A joint that slides gets −L sgn θ̇; one a
 and does not creep as under a smoothed sign. Let a be a joint's acceleration but for its own friction. A joint that
 comes to a stop within h does so at t* = |θ̇| / (A L − a sgn θ̇). If it is then pushed on, |a| > A L, it gets the mean
 of what acts before and after, L (1 − 2 t*/h) sgn θ̇. Where friction f(t) jumps within h like this, or holds what has
-stopped, its mean f̄ alone leads to the right speed, but not to the right place: that is off by
+stopped, its mean f̄ alone gives the right speed, but not the right place: that is off by
 
     A ∫₀ʰ (h − t) (f − f̄) dt = −A L t* (h − t*) sgn θ̇   where it is pushed on,   −½ θ̇ (h − t*) where it stays.
 
-Soft friction settles a joint with a time constant T, but lets it creep with a speed a ρ (:mod:`.regularised_friction`).
+Regularised friction (:mod:`.regularised_friction`) settles a joint with a time constant T, but lets it creep at a ρ.
 Then w = θ̇ − a ρ falls as exp(−t/T) between T (A L − a) and −T (A L + a); above them friction is −L, below them +L. At
 constant a, a sub-step's mean and end thus have closed forms. Between two joints w and h / (1 − exp(−h/T)) take the
 places of θ̇ and h.
 
-Levels that change with speed or load, and what soft friction settles against, are taken half a sub-step later, where
-the friction of the beginning leads (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1). For a joint that slides, this
-is of second order in h, not of first.
+Levels that change with speed or load, and what regularised friction settles against, are taken half a sub-step later,
+where the friction of the start takes the joint (midpoint rule: Hairer, Nørsett & Wanner 1993, §II.1). For a joint that
+slides, this is of second order in h, not of first.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,8 +49,8 @@ def dry_friction(
 
     ``levels`` maps joints to L (..., 1). ``levels_at`` does so at other angles and velocities (..., K), where levels
     change with them. ``torque`` (..., K) holds all other torques, ``own`` (..., K) the joints' own inertias, or None.
-    ``settling`` maps joints with soft friction to T and ρ (..., 1), s. ``held``: the friction is that of the whole
-    sub-step, and not of its beginning alone.
+    ``settling`` maps joints with regularised friction to T and ρ (..., 1), s. If ``held``, the friction is that of
+    the whole sub-step, and not of its start alone.
     """
     q, still = now.q, torch.zeros_like(now.q)
     free = now.dynamics.forward(q, now.qd, torque, now.body, own)

@@ -1,4 +1,4 @@
-"""What effects on the dynamics are told: the moment within a step. What is seen of it: `observation/view.py`.
+"""What effects on the dynamics know: the moment within a step. What is seen of it: `observation/view.py`.
 
 Shapes: joint quantities (..., K), points (..., S, d).
 """
@@ -27,7 +27,7 @@ class Situation:
         step: s, the integrator's sub-step, (..., 1) or less.
         body: its numbers as the other effects leave them.
         dynamics: of this body.
-        told: (..., K) N·m, of `motor` what was commanded; the rest is a torque that nobody commanded.
+        commanded: (..., K) N·m, of `motor` what was commanded; the rest is an unknown torque.
         split: the link that a hidden hinge makes two of, where the chain has one; places count the arm's own links.
     """
 
@@ -40,7 +40,7 @@ class Situation:
     body: Any
     dynamics: Dynamics
     split: int | None = None
-    told: Tensor | None = None
+    commanded: Tensor | None = None
 
     @cached_property
     def bias(self) -> Tensor:

@@ -1,33 +1,27 @@
 """Gravity from another direction, as the frame is not level: R(α) g."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from collections.abc import Sequence
+from typing import Any, Self
 
 import torch
 from pyro.distributions import Normal
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values, rotated
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, rotated
 
 
 class GravityTilt(Effect):
-    """Gravity turned by an angle, in the frame of the body and of the camera.
+    """Gravity rotated by an angle, in the frame of the body and of the camera.
 
-    In the plane it turns counter-clockwise, and cannot be told from a rolled camera, unless the picture shows how the
-    base lies or encoders count from it. A plumb line does not help: both turn it alike. In space the base leans about
-    the two axes of the frame that are nearest to level: a rotation vector of these two coordinates.
+    In the plane counter-clockwise; only encoders or a picture of the base distinguish it from a rolled camera. A plumb
+    line does not: both rotate it. In space the base leans about the two axes of the frame that are nearest to level: a
+    rotation vector of these two coordinates.
     """
-
-    phrase = "tilted gravity"
-    meaning = "gravity that points elsewhere than in the simulation"
-    shown_by = "encoders and a camera together, or the base's own edges in view of the camera"
-    twins: ClassVar[Mapping[str, Mapping[str, str]]] = {"camera_roll": {"angle": "angle"}}
 
     site = "arm"
     about: tuple[int, ...] = ()
-    """Axes of the frame that it may turn about, by number; none in the plane."""
+    """Axes of the frame about which it may rotate, by number; none in the plane."""
 
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
@@ -61,7 +55,7 @@ class GravityTilt(Effect):
 
 
 def turned(vector: Tensor, by: Tensor) -> Tensor:
-    """Vectors (..., 3) turned by rotation vectors (..., 3), rad (Rodrigues): smooth where these are 0."""
+    """Vectors (..., 3) rotated by rotation vectors (..., 3), rad (Rodrigues): smooth where these are 0."""
     vector, by = torch.broadcast_tensors(vector, by)
     angle = (by.square().sum(-1, keepdim=True) + 1e-30).sqrt()
     once = torch.linalg.cross(by, vector)

@@ -1,14 +1,14 @@
-"""States that nobody sees: of a hinge, one coordinate ψ more in a chain of K + 1 links, or of what follows the arm.
+"""States that no sensor shows: of a hinge, one coordinate ψ more in a chain of K + 1 links, or of what follows the arm.
 
 What follows (:class:`Follower`) has no part in how the arm moves. A hinge makes two links of one: a flexible link bends
-there, a joint with backlash plays there. The state gains (ψ, ψ̇); the tracked joints keep their K angles, and everything
+there, a joint with backlash has its gap there. The state gains (ψ, ψ̇); the tracked joints keep their K angles, and all
 else of the model is as it was.
 
     chain      the K + 1 links                                      BodyParameters → BodyParameters
     all_hinges the K joints and the hinge as angles of that chain   q (..., K), ψ (..., 1) → (..., K + 1)
     gathered   its inverse
 
-The other effects act on the K joints; forces on points of the arm (:attr:`.Effect.pulls`) turn the hinge as well.
+The other effects act on the K joints; forces on points of the arm (stage ``pull``) rotate the hinge as well.
 """
 
 import math
@@ -22,8 +22,7 @@ from torch import Tensor
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
-from invdyn.models.effects.base import Effect, Values
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Scale, Values
 from invdyn.models.shapes import join, joined_by_column
 
 Net = Callable[[Tensor, Tensor, float | Tensor], tuple[Tensor, Tensor | None]]
@@ -59,11 +58,6 @@ class Hidden(Effect):
     """H, how many."""
     forgets: ClassVar[bool] = False
     """Whether contact makes its motion forget what was before."""
-
-    @property
-    def moves(self) -> bool:
-        """A hidden coordinate has dynamics."""
-        return True
 
     @abstractmethod
     def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
@@ -103,7 +97,7 @@ class HiddenHinge(Hidden):
         """Angles, or rates, of the K joints, and of the hinge (..., 1)."""
 
     def own_angles(self, angles: Tensor) -> Tensor:
-        """What the joints themselves have turned by, (..., K), of the angles, or rates, of the K + 1 hinges.
+        """The joints' own part, (..., K), of the angles, or rates, of the K + 1 hinges.
 
         It is what springs, stops and friction at the joints know of.
         """
@@ -126,7 +120,7 @@ class HiddenHinge(Hidden):
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later.
 
-        By Runge–Kutta of order 4, whatever the model's integrator.
+        By Runge–Kutta of order 4, with any integrator of the model.
         """
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:

@@ -1,22 +1,20 @@
 """A link that is not as its body file says: m + Δm, com + Δcom, I + ΔI."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Self
 
 import torch
 from pyro.distributions import Normal, StudentT
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, point_of, size_of, with_inertia
-from invdyn.models.effects.payload import Payload
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values
+from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, size_of, with_inertia
 from invdyn.models.shapes import join
 
 LEAST = 0.02
 """Of the file's mass and inertia that is always left."""
 LOST = 0.8
-"""Of them that may plausibly be missing: arms without mass explain whatever there is. Twice as much may be there."""
+"""Of them that may plausibly be missing: arms without mass explain any recording. Twice as much may be there."""
 
 
 class InertialError(Effect):
@@ -26,10 +24,6 @@ class InertialError(Effect):
     and all moments change by one factor, their mean by ΔI: what was a possible body stays one. Known but for a common
     factor when no torque and no weight is.
     """
-
-    phrase = "an inertial error"
-    meaning = "a link whose mass, centre of mass or inertia is not as stated"
-    shown_by = "two postures held still, then fast motion"
 
     site = "link"
     coms: tuple[str, ...] = ("com",)
@@ -72,20 +66,3 @@ class InertialError(Effect):
             own.moments + change * own.shape,
         )
         return with_inertia(body, self.place[0], other)
-
-    def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
-        """Of a payload on this link: from its weight, and from its inertia, as either may be known alone.
-
-        A mass m at the tip, at t from the joint, adds m t to the first moment about the joint, and m t² to the second.
-        """
-        if not isinstance(other, Payload) or self.place != other.place[:1]:
-            return ()
-        own, at = inertia_of(scale.body, self.place[0]), point_of(scale.body, *other.place).double()
-        com = own.com + torch.tensor([values[name] for name in self.coms], dtype=torch.float64)
-        heavier, square = own.mass + values["mass"], at.square().sum()
-        by_weight = (heavier * com - own.mass * own.com) @ at / square
-        # the mean moment of a point in space is two thirds of m t²
-        share = 1.0 if len(self.coms) == 1 else 2 / 3
-        by_inertia = values["inertia"] / share + heavier * com.square().sum() - own.mass * own.com.square().sum()
-        loads = (by_weight.item(), (by_inertia / square).item())
-        return [{"mass": load} for load in loads if load > 0]

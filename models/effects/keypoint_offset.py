@@ -3,20 +3,14 @@
 from pyro.distributions import Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 
 
 class KeypointOffset(Effect):
     """The keypoint at a link's tip sits ``along`` (outwards) and ``across`` (counter-clockwise) from it.
 
-    Along the link it cannot be told from the link's length. It turns with the link.
+    It rotates with the link. Along the link only a measured length distinguishes it from the link's.
     """
-
-    phrase = "a keypoint offset"
-    meaning = "a marker that sits beside its joint"
-    shown_by = "a measured length of the link"
 
     planar = True
     side, site = "observation", "keypoint"
@@ -29,5 +23,4 @@ class KeypointOffset(Effect):
     def points(self, p: Values, view: View) -> Tensor:
         """The tip moved by a u + b u⊥."""
         k = self.place[0]
-        shift = p["along"] * view.along[..., k, :] + p["across"] * view.across[..., k, :]
-        return view.moved(k, shift)
+        return view.moved(k, p["along"] * view.along[..., k, :] + p["across"] * view.across[..., k, :])

@@ -7,21 +7,15 @@ from typing import Self
 from pyro.distributions import Beta
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 from invdyn.models.observation.tracker_errors import Swap
-from invdyn.models.observation.view import View
 
 
 class LabelSwap(Effect):
     """In a share ρ of the rows both keypoints named carry each other's detection.
 
-    Told apart from outliers by its symmetry.
+    Its symmetry distinguishes it from outliers.
     """
-
-    phrase = "swapped labels"
-    meaning = "two keypoints that are exchanged in some frames"
-    shown_by = "the same motion with markers that differ"
 
     side, site = "observation", "keypoints"
 
@@ -34,7 +28,7 @@ class LabelSwap(Effect):
         """Share ρ of rows."""
         return (Parameter("rate", "1", Beta(1.0, 25.0), 0.0, (0.003, 0.01, 0.03, 0.1)),)
 
-    def mistake(self, p: Values, view: View) -> Swap:
+    def outlier(self, p: Values, view: View) -> Swap:
         """The pair, exchanged with probability ρ."""
         one, other = self.place
         return Swap(one, other, p["rate"])

@@ -3,20 +3,15 @@
 from pyro.distributions import Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.optics import Optics
-from invdyn.models.effects.scale import Scale
 
 
 class LensDistortion(Optics):
     """Points move along their radius from the frame's origin; k₁ > 0 is a pincushion, < 0 a barrel.
 
-    Told apart from a scale by its growth with the third power of the radius.
+    Its growth with the third power of the radius distinguishes it from a scale.
     """
-
-    phrase = "lens distortion"
-    meaning = "positions bent outwards or inwards towards the picture's edge"
-    shown_by = "a grid of known size that fills the picture"
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
         """Coefficient k₁, m⁻²."""

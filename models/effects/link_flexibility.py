@@ -2,14 +2,12 @@
 
 The parts have shares π and 1 − π of length and mass. Their centres lie s apart, and a straight link has the inertia
 that it had as one piece. For a uniform rod s = length/2, and the parts share I − π (1 − π) m s² as π³ to (1 − π)³. For
-a link with less inertia s is smaller. π = ½; only the softer form learns where it bends.
+a link with less inertia s is smaller. π = ½; only the non-ideal variant learns where it bends.
 
 A spring stiffer than the sub-steps can follow acts as the stiffest that they can; an infinite one is no hinge at all.
 """
 
 import math
-from collections.abc import Mapping
-from typing import ClassVar
 
 import torch
 from pyro.distributions import LogNormal, Uniform
@@ -18,9 +16,8 @@ from torch import Tensor
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.planar import planar_dynamics
-from invdyn.models.effects.base import Parameter, Values
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, as_variant
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
-from invdyn.models.effects.scale import Scale
 from invdyn.models.shapes import join, joined_by_column
 
 FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
@@ -34,21 +31,17 @@ HALF, EDGE = 0.5, 0.05
 class LinkFlexibility(HiddenHinge):
     """A link that swings about its own middle.
 
-    Told apart from a delay by driving it past its resonance.
+    Commands past its resonance distinguish it from a delay.
     """
 
-    phrase = "link flexibility"
-    meaning = "a link that bends and swings"
-    shown_by = "a command that sweeps past the link's resonance"
-    form_words: ClassVar[Mapping[str, str]] = {
-        "position": "softer than in its middle alone, at this share of its length",
-    }
-
     site = "link"
-    softens: ClassVar[bool] = True
+
+    def nonideal(self) -> Effect | None:
+        """With a hinge at any position."""
+        return None if self.variant else as_variant(self, 1)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Stiffness k, N·m/rad, and damping d, N·m·s/rad; in the softer form the hinge's position π, a pure number."""
+        """Stiffness k, N·m/rad, and damping d, N·m·s/rad; in the variant the hinge's position π, a pure number."""
         inertia = self._carried(scale)
         grid = tuple(inertia * (2 * math.pi * f) ** 2 for f in FREQUENCIES)
         middle = inertia * (2 * math.pi * 10.0) ** 2
@@ -56,12 +49,8 @@ class LinkFlexibility(HiddenHinge):
         return (
             Parameter("stiffness", "N·m/rad", LogNormal(math.log(middle), 1.1), math.inf, grid),
             Parameter("damping", "N·m·s/rad", LogNormal(math.log(0.6 * damping), 1.0), None, (0.3 * damping, damping)),
-            *((Parameter("position", "1", Uniform(EDGE, 1 - EDGE), None, (0.25, HALF, 0.75)),) if self.soft else ()),
+            *((Parameter("position", "1", Uniform(EDGE, 1 - EDGE), None, (0.25, HALF, 0.75)),) if self.variant else ()),
         )
-
-    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
-        """The hinge at half the length."""
-        return {**ideal, "position": HALF}
 
     def hidden_scale(self, scale: Scale) -> tuple[float, float]:
         """Twice as far as the typical torque bends a link of 10 Hz, and as fast as it then swings."""

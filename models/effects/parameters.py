@@ -38,8 +38,8 @@ def hidden_scales(
     """Standard deviations (H,) of hidden states in the first row, and from row to row, by dotted name."""
     found: dict[str, Any] = {}
     for effect in (each for each in effects if isinstance(each, Hidden)):
-        spread = torch.tensor(effect.hidden_scale(scale), dtype=dtype, device=device)
-        found |= {f"initial.hidden.{effect.key}": spread, f"noise.hidden.{effect.key}": 1e-4 * spread}
+        sd = torch.tensor(effect.hidden_scale(scale), dtype=dtype, device=device)
+        found |= {f"initial.hidden.{effect.key}": sd, f"noise.hidden.{effect.key}": 1e-4 * sd}
     return found
 
 

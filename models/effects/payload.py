@@ -6,24 +6,19 @@ from typing import Any, Self
 from pyro.distributions import HalfNormal
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_of, with_inertia
-from invdyn.models.effects.scale import Scale
 
 SHARE, LEAST = 0.5, 0.05
-"""Spread of its mass: of the link that carries it, and of the whole body at least."""
+"""Prior width of its mass: of the link that carries it, and of the whole body at least."""
 
 
 class Payload(Effect):
     """A mass m carried at the tip: that link's mass, centre of mass and inertia change together.
 
-    The tip is the body's own (`hand`): the last link's, or of a gripper's fingers what they hang on. Told apart from an
-    error of the link's inertial parameters by two postures and two speeds.
+    The tip is the body's own (`hand`): the last link's, or of a gripper's fingers what they hang on. Two
+    postures and two speeds distinguish it from an error of the link's inertial parameters.
     """
-
-    phrase = "a payload"
-    meaning = "a mass at the tip that the simulation does not carry"
-    shown_by = "two postures and two speeds"
 
     site = "arm"
 
@@ -41,8 +36,8 @@ class Payload(Effect):
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Mass m, kg."""
         mass = scale.body.mass
-        spread = max(SHARE * mass[self.place[0]].item(), LEAST * mass.sum().item())
-        return (Parameter("mass", "kg", HalfNormal(spread)),)
+        width = max(SHARE * mass[self.place[0]].item(), LEAST * mass.sum().item())
+        return (Parameter("mass", "kg", HalfNormal(width)),)
 
     def body(self, p: Values, body: Any) -> Any:
         """The link with the load."""

@@ -3,20 +3,14 @@
 from pyro.distributions import HalfNormal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values
 
 
 class QuadraticDrag(Effect):
-    """Torque −c θ̇ |θ̇| at a joint, as of a paddle in water or air.
+    """Torque −c θ̇ |θ̇| at a joint, as of a paddle in water or air. As ``density`` in MuJoCo.
 
-    Told apart from viscous friction by large amplitudes. As ``density`` in MuJoCo.
+    Large amplitudes distinguish it from viscous friction.
     """
-
-    phrase = "quadratic drag"
-    meaning = "a torque against the motion that grows with the square of speed"
-    shown_by = "fast, large motion beside slow motion"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Drag c, N·m·s²/rad²."""
@@ -25,6 +19,5 @@ class QuadraticDrag(Effect):
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−c θ̇ |θ̇|."""
-        j = self.place[0]
-        speed = now.qd[..., j : j + 1]
-        return now.at(j, -p["drag"] * speed * speed.abs())
+        speed = self.own(now.qd)
+        return now.at(self.place[0], -p["drag"] * speed * speed.abs())

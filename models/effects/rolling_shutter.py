@@ -3,9 +3,7 @@
 from pyro.distributions import Normal
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 
 
 class RollingShutter(Effect):
@@ -13,12 +11,8 @@ class RollingShutter(Effect):
 
         τ ← τ + (ρ y(t + τ) − τ) / (1 − ρ ẏ(t)).
 
-    ρ < 0 where the picture is read from its top. Told apart from latency by the product of velocity and height.
+    ρ < 0 where the picture is read from its top. The product of velocity and height distinguishes it from latency.
     """
-
-    phrase = "a rolling shutter"
-    meaning = "rows of the picture that are seen at different times"
-    shown_by = "the same motion with the camera turned upside down"
 
     planar = True
     side, site, order = "observation", "arm", 1

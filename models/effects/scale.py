@@ -4,7 +4,7 @@ A mouse limb and an industrial arm have the same catalogue; only these numbers d
 is beyond it stretched out:
 
     inertia   Σ I + m r² about the joint                            kg·m²
-    torque    the gravity load held level, or, without gravity, what turns it by a radian in a fifth of a second   N·m
+    torque    the gravity load of the level arm; without gravity, what moves it by a radian in a fifth of a second   N·m
     speed     √(torque / inertia), of a swing under that torque, or what has been seen if slower     rad/s
 """
 

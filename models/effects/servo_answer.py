@@ -8,8 +8,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.joint_parts import Motor
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect
-from invdyn.models.effects.effect_context import Situation
+from invdyn.models.effects.base import Effect, Situation
 
 
 class OfServos(Effect):
@@ -17,11 +16,6 @@ class OfServos(Effect):
 
     servos: Mapping[int, Motor] = MappingProxyType({})
     """Those of its joints, or of all joints where it has no place, by number."""
-
-    @property
-    def drives(self) -> bool:  # type: ignore[override]  # where a servo answers
-        """Whether it is a servo's."""
-        return bool(self.servos)
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         other = super()._bound(body, where)
@@ -32,9 +26,9 @@ class OfServos(Effect):
 
 
 def answer_changed(servo: Motor, k: int, now: Situation, more: Tensor) -> Tensor:
-    """How much more joint ``k``'s ``servo`` gives where it asks for so much ``more``, (..., 1) N·m each."""
+    """Change of what joint ``k``'s ``servo`` gives if it demands so much ``more``, (..., 1) N·m each."""
     if not servo.limited:
         return more
-    told = (now.motor if now.told is None else now.told)[..., k : k + 1]
-    whole = told - servo.stiffness * now.q[..., k : k + 1] - servo.damping * now.qd[..., k : k + 1]
+    given = (now.motor if now.commanded is None else now.commanded)[..., k : k + 1]
+    whole = given - servo.stiffness * now.q[..., k : k + 1] - servo.damping * now.qd[..., k : k + 1]
     return (whole + more).clamp(servo.low, servo.high) - whole.clamp(servo.low, servo.high)

@@ -1,88 +1,55 @@
-"""A marker on soft tissue: it lags behind its bone, p − κ p̈, or slides on it as the joint turns.
+"""A marker on soft tissue: it lags behind its bone, p − κ p̈, or slides on it as the joint rotates.
 
-The first is what slow motion leaves of a mass on a spring and a damper, of natural frequency ω = 1/√κ. The softer form
-is all of it, for motion about as fast: the marker is at p + δ with
+The first is what slow motion leaves of a mass on a spring and a damper, of natural frequency ω = 1/√κ. The variant is
+all of it, for motion about as fast: the marker is at p + δ with
 
     δ̈ + 2ζω δ̇ + ω² δ = −p̈
 
 from row to row in closed form, with p̈ a straight line in between, that of the cubic through p and ṗ at both ends.
 """
 
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
 from pyro.distributions import HalfNormal, Normal, Uniform
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 from invdyn.models.effects.hidden import Follower, Motion
-from invdyn.models.effects.link_flexibility import LinkFlexibility
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
 
 STIFFEST = 1e-8
 """s², least κ that is none at all: a frequency of 1.6 kHz."""
-TYPICAL = 0.3
-"""Damping ratio from which a search starts."""
+DAMPING_RATIOS = (0.1, 0.3, 0.6)
 
 
 class SoftTissue(Effect):
     """The keypoint at a link's tip is thrown outwards by −κ p̈: tissue of a natural frequency 1/√κ, far below it.
 
-    ``SoftTissue("elbow", "sliding")`` is skin that the joint at the tip pulls along as it turns by θ (for the last tip,
-    that at its link's near end): p + (a + a' θ) u + (b + b' θ) u⊥. Either is told apart from a fixed offset, by fast
-    motion and by other postures.
+    ``SoftTissue("elbow", "sliding")`` is skin that the joint at the tip pulls along as it rotates by θ (for the last
+    tip, that at its link's near end): p + (a + a' θ) u + (b + b' θ) u⊥. Fast motion and other postures distinguish
+    either from a fixed offset.
     """
-
-    phrase = "soft-tissue motion"
-    meaning = "a marker that shifts on the skin"
-    shown_by = "fast and slow motion through the same postures"
-    form_words: ClassVar[Mapping[str, str]] = {
-        "damping_ratio": "softer than what only lags, it swings on by itself after its bone",
-        "sliding": "that slides as the joint turns",
-    }
 
     planar = True
     side, site = "observation", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)
-    softens: ClassVar[bool] = True
 
-    @property
-    def name(self) -> str:
-        """That of the catalogue, of the softer form too."""
-        return "soft_tissue"
+    def nonideal(self) -> Effect | None:
+        """A mass on a spring; None for skin that slides."""
+        if self.form is not None:
+            return None
+        other = Wobble(*self.where)
+        other.name, other.place = self.name, self.place
+        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ, s²; sliding, a' and b', m/rad, and a and b, m."""
         k = self.place[0]
         if self.form is None:
-            return (Parameter("kappa", "s²", HalfNormal(0.1 / scale.speed[k] ** 2)),)
+            return (_compliance(scale, k),)
         prior = Normal(0.0, 0.05 * scale.body.length[k].item())
         slides = [Parameter(f"{way}_per_rad", "m/rad", prior) for way in ("along", "across")]
         return (*slides, Parameter("along", "m", prior), Parameter("across", "m", prior))
-
-    def softened(self) -> "Wobble | None":
-        """A mass on a spring; None for skin that slides, and for itself."""
-        if self.soft or self.form is not None:
-            return None
-        other = Wobble(*self.where)
-        other.place = self.place
-        return other
-
-    def as_soft(self, ideal: Mapping[str, float]) -> dict[str, float]:
-        """The same compliance."""
-        return {**ideal, "damping_ratio": TYPICAL}
-
-    def starts_of(self, other: Effect, values: Mapping[str, float], scale: Scale) -> Sequence[Mapping[str, float]]:
-        """Of a bend of the link whose tip it is at: several stiffnesses, as from one too high no lower one is found.
-
-        A screen sees little of what a bend explains along a path of its own: once, beside a stop, 67 nats of 184.
-        """
-        if not isinstance(other, LinkFlexibility) or other.place != self.place:
-            return ()
-        stiffness, damping = other.parameters(scale)
-        return [{"stiffness": start, "damping": damping.grid[0]} for start in stiffness.grid[1::2]]
 
     def points(self, p: Values, view: View) -> Tensor:
         """The tip moved."""
@@ -95,16 +62,23 @@ class SoftTissue(Effect):
         return view.moved(k, along * view.along[..., k, :] + across * view.across[..., k, :])
 
 
-class Wobble(SoftTissue, Follower):
-    """The softer form: hidden states δ, m, and δ̇, m/s, along x and y each."""
+def _compliance(scale: Scale, k: int) -> Parameter:
+    """κ, s²."""
+    return Parameter("kappa", "s²", HalfNormal(0.1 / scale.speed[k] ** 2))
 
-    soft = True
+
+class Wobble(Follower):
+    """Soft tissue as a mass on a spring: hidden states δ, m, and δ̇, m/s, along x and y each."""
+
+    name = "soft_tissue"
+    variant = 1
+    side, site = "observation", "keypoint"
     states = 4
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ = 1/ω², s², and the damping ratio ζ, a pure number."""
-        ratio = Parameter("damping_ratio", "1", Uniform(0.02, 0.98), None, (0.1, TYPICAL, 0.6))
-        return (*super().parameters(scale), ratio)
+        ratio = Parameter("damping_ratio", "1", Uniform(0.02, 0.98), None, DAMPING_RATIOS)
+        return _compliance(scale, self.place[0]), ratio
 
     def hidden_scale(self, scale: Scale) -> tuple[float, ...]:
         """A twentieth of the reach, which tissue of a typical compliance swings through."""
@@ -132,10 +106,6 @@ class Wobble(SoftTissue, Follower):
         swings = decay * ((cos - rate * sin) * v - sin / kappa * x)
         moved = torch.cat(torch.broadcast_tensors(swung + steady(dt), swings - kappa * b), -1)
         return torch.where(p["kappa"] > 0, moved, torch.zeros_like(moved))
-
-    def points(self, p: Values, view: View) -> Tensor:
-        """They are moved already, by :meth:`shown`."""
-        return view.points
 
     def shown(self, tips: Tensor, hidden: Tensor) -> Tensor:
         """One of them moved by δ."""

@@ -1,29 +1,17 @@
 """Frames whose true moments scatter about their time stamps by δ: keypoints at p + δ ṗ + ½ δ² p̈."""
 
-import math
-from collections.abc import Mapping
-
 from pyro.distributions import HalfNormal, Uniform
 
-from invdyn.models.effects.base import MARGIN, Effect, Parameter, Values
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 from invdyn.models.observation.tracker_errors import Shift
-from invdyn.models.observation.view import View
-
-FARTHEST = 5.0
-"""Frames, standard deviation."""
 
 
 class TimestampJitter(Effect):
     """A share ρ of the frames is mistimed by s/√ρ (standard deviation), by s over all of them.
 
-    All keypoints of a frame are off by the same time δ, each by δ ṗ + δ² p̈/2. Told apart from noise by its growth with
-    speed, along the motion only, and alike for all keypoints.
+    All keypoints of a frame are off by the same time δ, each by δ ṗ + δ² p̈/2. Errors that grow with speed, along the
+    motion only, equally for all keypoints, distinguish it from noise.
     """
-
-    phrase = "timestamp jitter"
-    meaning = "frames that are dropped, doubled or mistimed"
-    shown_by = "a clock in view of the camera"
 
     side, site, order = "observation", "arm", 1
 
@@ -34,13 +22,8 @@ class TimestampJitter(Effect):
             Parameter("sd", "s", HalfNormal(0.02), 0.0, (0.003, 0.01, 0.03)),
         )
 
-    def credible(self, mean: Mapping[str, float], sd: Mapping[str, float], scale: Scale) -> bool:
-        """Mistimed by a few frames each at most: what is farther off is lost, not late."""
-        each = (mean["sd"] - MARGIN * sd["sd"]) / math.sqrt(max(mean["rate"] + MARGIN * sd["rate"], 1e-9))
-        return each <= FARTHEST * scale.time.diff().median().item()
-
-    def mistake(self, p: Values, view: View) -> Shift:
+    def mistiming(self, p: Values, view: View) -> Shift:
         """(1 − ρ) N(h, σ²) + ρ N(h, σ² + s_δ² ṗ ṗᵀ + ¾ s_δ⁴ p̈²), s_δ = s/√ρ: the second order by its mean square."""
         each = (p["sd"] / p["rate"].clamp_min(1e-9).sqrt()).unsqueeze(-1)  # none is mistimed at a rate of 0
-        beside = 0.75**0.5 * each**2 * view.site_acceleration.abs()
-        return Shift(p["rate"], each * view.velocity, beside)
+        scatter = 0.75**0.5 * each**2 * view.site_acceleration.abs()
+        return Shift(p["rate"], each * view.velocity, scatter)

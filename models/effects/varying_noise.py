@@ -1,33 +1,24 @@
-"""Detections that get worse in fast motion, σ (1 + slope |ṗ|) or σ (1 + slope |θ̇|), or as the tracker says,
+"""Detections that are worse in fast motion, σ (1 + slope |ṗ|) or σ (1 + slope |θ̇|), or by the tracker's confidence c,
 σ (1 + slope (1 − c)).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, Self
 
+import torch
 from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.scale import Scale
-from invdyn.models.observation.view import View
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View
 
 
 class VaryingNoise(Effect):
-    """A keypoint's noise grows with its speed, in all directions alike; ``VaryingNoise("confidence")``: as c falls;
-    ``VaryingNoise("joints")``: all keypoints' alike, with how fast the joints turn, |θ̇| over all of them.
+    """A keypoint's noise grows with its speed, in all directions; ``VaryingNoise("confidence")``: as c falls;
+    ``VaryingNoise("joints")``: all keypoints' equally, with the joints' speed |θ̇| over all of them.
 
-    Only the variance changes: told apart from process noise by frames at rest.
+    Only the variance changes: frames at rest distinguish it from process noise.
     """
-
-    phrase = "varying noise"
-    meaning = "positions that are less certain in some frames than in others"
-    shown_by = "the same postures held still"
-    form_words: ClassVar[Mapping[str, str]] = {
-        "confidence": "as the tracker’s confidence falls",
-        "joints": "with how fast the joints turn",
-    }
 
     side, site = "observation", "arm"
     forms: ClassVar[tuple[str, ...]] = ("confidence", "joints")
@@ -45,21 +36,18 @@ class VaryingNoise(Effect):
 
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
-        """Every form; of a single joint its speed is the keypoint's, and says nothing else."""
+        """Every form; the speed of a single joint is its keypoint's."""
         found = super().everywhere(body, keypoints)
         return [effect for effect in found if effect.form != "joints" or body.num_joints > 1]
 
-    def tellable(self, commanded: bool, confident: bool) -> bool:
-        """See :meth:`Effect.tellable`."""
-        return confident or self.form != "confidence"
-
-    def noise(self, p: Values, view: View, sd: Tensor) -> Tensor:
-        """See the top of the file; σ where nobody says how sure the tracker was."""
+    def noise(self, p: Values, view: View) -> Tensor:
+        """See the top of the file; 1 where no tracker states its confidence."""
+        slope = p["slope"].unsqueeze(-1)
         # a floor on the root keeps the gradient at rest finite
         if self.form == "joints":
-            turning = (view.qd.square().sum(-1, keepdim=True) + 1e-12).sqrt()
-            return sd * (1 + p["slope"] * turning).unsqueeze(-1)
+            speed = (view.qd.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+            return (1 + p["slope"] * speed).unsqueeze(-1)
         if self.form:
-            return sd if view.doubt is None else sd * (1 + p["slope"].unsqueeze(-1) * view.doubt.unsqueeze(-1))
+            return torch.ones_like(slope) if view.doubt is None else 1 + slope * view.doubt.unsqueeze(-1)
         speed = (view.velocity.square().sum(-1, keepdim=True) + 1e-12 * view.dynamics.reach(view.body) ** 2).sqrt()
-        return sd * (1 + p["slope"].unsqueeze(-1) * speed)
+        return 1 + slope * speed

@@ -1,29 +1,18 @@
 """Viscous friction of a joint: −b θ̇."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Values
-from invdyn.models.effects.change import change
-from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values, change
 
 SHARES = (0.01, 0.1, 0.4, 1.2)
-"""Of the prior's spread, where a screen looks: what stops a light link within a row does no more when it is doubled."""
+"""Of the prior's width, where a screen looks: doubled damping of a light link stops it within a row all the same."""
 
 
 class ViscousFriction(Effect):
-    """Torque −b θ̇ at a joint.
+    """Torque −b θ̇ at a joint. As ``damping`` in MuJoCo.
 
-    Told apart from Coulomb friction by motion at several amplitudes. As ``damping`` in MuJoCo.
+    Motion at several amplitudes distinguishes it from Coulomb friction.
     """
-
-    phrase = "viscous friction"
-    meaning = "a torque against the motion that grows with speed"
-    shown_by = "the same motion at several amplitudes"
-    filed: ClassVar[Mapping[str, str]] = {"damping": "damping"}
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Damping b, N·m·s/rad."""
@@ -33,5 +22,4 @@ class ViscousFriction(Effect):
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−b θ̇."""
-        j = self.place[0]
-        return now.at(j, -p["damping"] * now.qd[..., j : j + 1])
+        return now.at(self.place[0], -p["damping"] * self.own(now.qd))

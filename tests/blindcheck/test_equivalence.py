@@ -7,10 +7,12 @@ from invdyn.blindcheck.camera import film
 from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.equivalence import NUMBERS, exactly_alike, stand_ins
 from invdyn.blindcheck.simulator import World
+from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue.neighbours import of_same_period
+from invdyn.diagnosis.catalogue.period_equivalents import factor
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.models import Body, Link
 from invdyn.models.effects import EFFECTS
-from invdyn.models.effects.period_equivalents import equivalents, factor
 from invdyn.recordings import Recording
 
 pytest.importorskip("mujoco")
@@ -91,10 +93,10 @@ def test_inertia_of_the_first_link_is_armature_without_gravity():
 )
 def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known):
     arm, time = body(1), np.arange(301) / 100
-    numbers = diagnosis_problem(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale.body
+    scale = diagnosis_problem(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale
     effect = next(iter(EFFECTS[name].everywhere(arm, ("p1",)))).bound(arm)
-    rho = factor(effect, known, numbers)
-    sizes = equivalents(rho, numbers)
+    rho = factor(effect, known, scale.body)
+    sizes = of_same_period(effect, known, scale, CATALOGUE)
     assert set(sizes) == {"armature", "payload", "clock_rate", "inertial_error"}
     pictures = {}
     for other, values in sizes.items():

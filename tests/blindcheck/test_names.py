@@ -8,6 +8,7 @@ from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.injected_effects import CATALOGUE, Present, named
 from invdyn.blindcheck.motion import random_body
+from invdyn.diagnosis.catalogue import CATALOGUE as DIAGNOSED
 from invdyn.models import planar_dynamics
 from invdyn.models.effects import EFFECTS, BaseMotion, Scale, TorqueRipple
 
@@ -24,14 +25,16 @@ def reported(effect):
     """Names and units of what a diagnosis says of an effect."""
     parameters = effect.parameters(SCALE)
     values = {p.name: torch.full((1,), float(p.prior.mean), dtype=torch.float64) for p in parameters}
-    return {key: unit for key, (_, unit) in effect.described(values).items()} or {p.name: p.unit for p in parameters}
+    return {key: unit for key, (_, unit) in DIAGNOSED.of(effect).reported(effect, values).items()} or {
+        p.name: p.unit for p in parameters
+    }
 
 
 def forms(effect):
     """The effect, its softer form, that one's, and so on."""
     while effect is not None:
         yield effect
-        effect = effect.softened()
+        effect = effect.nonideal()
 
 
 def test_the_same_effects():
@@ -52,7 +55,7 @@ def test_names_units_side_and_place(name):
     assert (units != ideal) == (name in ("stribeck_friction", "soft_tissue", "camera_yaw", "lens_distortion"))
     assert (kind.side == "observation") == (name in OBSERVATIONS)
     site = INJECTED[name].site
-    assert {"pair": "joint", "keypoints": "keypoint"}.get(kind.site, kind.site) == site
+    assert {"pair": "joint", "keypoints": "keypoint", "stop": "joint"}.get(kind.site, kind.site) == site
     place = None if site == "arm" else 2
     entry = named(Present(name, place, dict.fromkeys(units, 1.0)), BODY, 0.0, 0.0)
     told = {str(entry[key]) for key in ("joint", "link", "keypoint", "partner", "stop") if key in entry}
@@ -70,7 +73,7 @@ def test_the_base_moves_as_the_catalogue_writes_it(seed):
         for axis in "xy"
     }
     values = {key: torch.tensor([value]) for key, value in (parts | {"frequency": given["frequency"]}).items()}
-    for key, (value, _) in BaseMotion().described(values).items():
+    for key, (value, _) in DIAGNOSED["base_motion"].reported(BaseMotion(), values).items():
         assert answer[key]["value"] == pytest.approx(value.item(), abs=1e-6)
 
 
@@ -78,6 +81,7 @@ def test_a_ripple_is_what_the_catalogue_writes():
     given = {"amplitude": 0.3, "periods": 6.0, "phase": 5.5}
     answer = named(Present("torque_ripple", 1, given), BODY, 0.0, 0.0)["parameters"]
     values = {"sine": 0.3 * np.cos(5.5), "cosine": 0.3 * np.sin(5.5), "periods": 6.0}
-    described = TorqueRipple("base").described({key: torch.tensor([value]) for key, value in values.items()})
+    given_parts = {key: torch.tensor([value]) for key, value in values.items()}
+    described = DIAGNOSED["torque_ripple"].reported(TorqueRipple("base"), given_parts)
     for key, (value, _) in described.items():
         assert answer[key]["value"] == pytest.approx(value.item(), abs=1e-6)

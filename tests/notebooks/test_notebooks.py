@@ -146,7 +146,7 @@ def test_diagnose_the_gap_says_what_was_put_in():
     assert (
         abs(float(re.search(r"formula: (\S+) ± \S+ N·m·s/rad × dθ\[shoulder\]/dt on elbow", strange)[1]) + 0.1) < 0.05
     )
-    assert first.findall(explained)[0][1].startswith("belt_drag")
+    assert first.findall(explained)[0][1].startswith("belt.")
     assert abs(float(re.search(r"damping (\S+)", explained)[1]) - 0.1) < 0.01
     assert figures(notebook) == 1
     assert "outside the catalogue, the sum of these: 0.31" in text  # an exercise: 0.7 × 0.1 + 0.3 × 0.8

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.hypotheses.add import add, refine_best
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
@@ -169,14 +170,14 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
 
     def refined_one(problem, effects, values, path, size, **given):
         (effect,) = effects
-        tried[effect.name].append((effect.soft, values, size))
+        tried[effect.name].append((bool(effect.variant), values, size))
         mine = {f"{effect.key}.{p.name}": 0.3 for p in effect.parameters(bound.model.scale)}
         return replace(
             none,
             effects=effects,
             names=tuple(mine),
             mean=np.array(list(mine.values())),
-            plausible=plausible or effect.soft,
+            plausible=plausible or bool(effect.variant),
         )
 
     for room in (add, regularised):
@@ -189,7 +190,7 @@ def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch
         if more:
             _, values, size = tried[effect.name][1]
             ideal = {p.name: 0.3 for p in effect.parameters(bound.model.scale)}
-            expected = effect.softened().as_soft(ideal)
+            expected = CATALOGUE.of(effect).start(effect.nonideal(), ideal)
             assert values == {f"{effect.key}.{name}": value for name, value in expected.items()}
             assert list(expected) == [*ideal, *more]
             assert size >= DEFAULT.search.min_variant_size

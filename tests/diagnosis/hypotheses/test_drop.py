@@ -37,7 +37,7 @@ def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     by_name = {effect.name: effect for effect in considered(bound)}
     friction, other = by_name["coulomb_friction"], by_name["armature"]
-    soft = friction.softened()
+    soft = friction.nonideal()
     gains = {(friction,): 90.0, (friction, other): 100.0, (other,): 0.0, (soft,): 95.0}
     causes = {
         effects: replace(none, effects=effects, log_evidence=none.log_evidence + gain)

@@ -6,6 +6,9 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
+from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue.neighbours import of_same_period
+from invdyn.diagnosis.catalogue.period_equivalents import factor
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -13,7 +16,6 @@ from invdyn.diagnosis.hypotheses.swap import follow_neighbours
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
-from invdyn.models.effects.period_equivalents import equivalents, factor
 from invdyn.simulate import random_arm, record
 
 PAYLOAD = EFFECTS["payload"]().bound(ARM)
@@ -58,7 +60,7 @@ def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
     follow_neighbours(found, 1)
     names = {cause.effects[0].name: cause for cause in found.pool.values() if cause.effects}
     scale = bound.model.scale
-    assert set(names) >= set(equivalents(factor(truth, values, scale.body), scale.body))
+    assert set(names) >= set(of_same_period(truth, values, scale, CATALOGUE))
     assert all(cause.complete for cause in names.values())
     # An inertial error has two parameters more, whose priors it pays for.
     single = [names[name] for name in ("clock_rate", "armature", "payload")]

@@ -51,7 +51,7 @@ def test_friction_is_named():
 @pytest.mark.long
 def test_tissue_that_swings_is_found_whatever_the_torque():
     """As it is seen along the data's path, tissue that follows at once explains nothing of it."""
-    tissue = EFFECTS["soft_tissue"]("elbow").softened()
+    tissue = EFFECTS["soft_tissue"]("elbow").nonideal()
     values = {"kappa": 0.005, "damping_ratio": 0.36}
     arm = random_arm(ARM, duration=2.0, fps=50, noise=0.0004, torque_scale=0.5, commanded=True, seed=1)
     given = {f"effect.{tissue.key}.{name}": torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
@@ -60,7 +60,7 @@ def test_tissue_that_swings_is_found_whatever_the_torque():
     found = search(bound, *data_path(bound), [name for name in EFFECTS if name not in (tissue.name, "keypoint_offset")])
     best = found.ranked[0]
     assert best.key == tissue.key
-    assert best.effects[0].softness == 1
+    assert best.effects[0].variant == 1
     assert best.log_evidence > found.pool["keypoint_offset.elbow"].log_evidence + 1000
     assert np.all(np.abs(best.mean - list(values.values())) < 4 * best.sd)
 

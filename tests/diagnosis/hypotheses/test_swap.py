@@ -8,6 +8,8 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
+from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue.neighbours import Neighbour
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -16,7 +18,6 @@ from invdyn.diagnosis.problem.cause import of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
-from invdyn.models.effects.neighbours import Neighbour
 from invdyn.simulate import random_arm
 
 SWAP = sys.modules[follow_neighbours.__module__]
@@ -143,8 +144,9 @@ def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     assert cause.key == friction.key
     assert cause.complete
     assert abs(cause.mean[0] - 0.2) < 4 * cause.sd[0]
-    assert stand_in.starts_of(EFFECTS["load_friction"]("other"), {}, bound.model.scale) == ()
-    assert friction.starts_of(stand_in, {"coefficient": 0.2}, bound.model.scale) == ()
+    starts = CATALOGUE.of(stand_in).starts["load_friction"]
+    assert not starts(stand_in, EFFECTS["load_friction"]("other"), {}, bound.model.scale)
+    assert not CATALOGUE.of(friction).starts
 
 
 def test_another_form_of_an_effect_keeps_its_values_where_one_is_swapped(monkeypatch):
@@ -191,7 +193,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
 def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
-    soft, given = ideal.softened(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
+    soft, given = ideal.nonideal(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
     bound = diagnosis_problem(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
@@ -201,7 +203,7 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
     follow_neighbours(found, 1)
     cause = found.pool[ideal.key]
     assert cause.complete
-    assert cause.effects[0].soft
+    assert cause.effects[0].variant
     assert cause.names == tuple(f"{soft.key}.{name}" for name in given)
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
     assert cause.log_evidence > hard.log_evidence + 10
@@ -238,7 +240,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
     def cause(gain, *effects):
         return replace(none, effects=effects, log_evidence=none.log_evidence + gain, by_size=left)
 
-    rigid, soft = ([e for e in considered(bound) if (e.softened() is None) is hard] for hard in (True, False))
+    rigid, soft = ([e for e in considered(bound) if (e.nonideal() is None) is hard] for hard in (True, False))
     causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
     stiff = cause(max(gains), *rigid[:number])
     follow_neighbours(HypothesisPool(bound, [], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
@@ -268,7 +270,7 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
 @pytest.mark.long
 def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     """The ideal one would leave what the softer form was found for, and never come near."""
-    truth, wide = (EFFECTS[name]("pivot").softened() for name in ("coulomb_friction", "stribeck_friction"))
+    truth, wide = (EFFECTS[name]("pivot").nonideal() for name in ("coulomb_friction", "stribeck_friction"))
     given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
     bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
@@ -279,7 +281,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
     found = HypothesisPool(bound, considered(bound), {"": none, wider.key: wider}, [], path, stray)
     follow_neighbours(found, 1)
     cause = found.pool["coulomb_friction.pivot"]
-    assert cause.effects[0].soft
+    assert cause.effects[0].variant
     assert cause.complete
     assert cause.log_evidence > wider.log_evidence
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
@@ -296,7 +298,7 @@ def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
 def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(name, levels):
     ideal = EFFECTS[name]("pivot")
     given = {**levels, "bristle_stiffness": 60.0, "bristle_damping": 0.3}
-    bound = diagnosis_problem(recording_of(ideal.softened().softened(), rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(ideal.nonideal().nonideal(), rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     own = [effect for effect in considered(bound) if effect.key == ideal.key]
@@ -305,7 +307,7 @@ def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(nam
     cause = found.pool[ideal.key]
     assert not hard.complete
     assert cause.complete
-    assert cause.effects[0].softness == 2
+    assert cause.effects[0].variant == 2
     assert cause.names == tuple(f"{ideal.key}.{name}" for name in given)
     assert np.all(np.abs(cause.mean - list(given.values())) < 4 * cause.sd)
     assert cause.log_evidence > hard.log_evidence + 10

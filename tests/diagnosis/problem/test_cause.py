@@ -30,7 +30,7 @@ def test_without_one_effect_the_others_keep_names_values_and_model():
         np.testing.assert_array_equal(rest.about, cause.about[kept])
         for name in (f"effect.{name}" for name in rest.names):
             assert torch.equal(model.parameters[name], cause.model.parameters[name])
-        assert not any(name.startswith(gone.prefix) for name in model.parameters)
+        assert not any(name.startswith(f"effect.{gone.key}.") for name in model.parameters)
 
 
 def test_a_screen_beside_nothing_is_about_the_body_as_it_is_stated():

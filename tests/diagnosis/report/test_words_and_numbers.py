@@ -5,6 +5,7 @@ import torch
 from reported import diagnosis, two
 
 from invdyn.diagnosis.assessment.result import Estimate, Finding
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.report import words
 from invdyn.diagnosis.report.numbers import (
     changed,
@@ -18,7 +19,6 @@ from invdyn.diagnosis.report.numbers import (
     plus_minus,
 )
 from invdyn.models import Body, Link, planar_dynamics
-from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.scale import Scale
 
 
@@ -44,16 +44,16 @@ def test_numbers_have_the_digits_that_they_deserve():
 
 
 def test_every_effect_of_the_catalogue_has_words():
-    for effect in EFFECTS.values():
-        assert effect.phrase
-        assert effect.meaning
-        assert effect.shown_by
-        assert all(effect.form_words[form] for form in effect.forms)
+    for entry in CATALOGUE.values():
+        assert entry.phrase
+        assert entry.meaning
+        assert entry.shown_by
+        assert all(entry.forms[form] for form in entry.effect.forms)
 
 
 def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
     """As effects may be added while a program runs."""
-    monkeypatch.setattr(EFFECTS["clock_rate"], "forms", ("frames", "sundial"))
+    monkeypatch.setattr(CATALOGUE["clock_rate"].effect, "forms", ("frames", "sundial"))
     assert words.key_words("clock_rate.sundial", two()).endswith(" sundial")
 
 
@@ -61,15 +61,15 @@ def test_a_softer_form_is_said_to_be_one():
     """By a parameter that the ideal form lacks."""
     arm = Body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
     scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))
-    for each in EFFECTS.values():
-        ideal = each.everywhere(arm, arm.keypoint_names)[0].bound(arm)
-        for effect in (ideal, ideal.softened()):
+    for entry in CATALOGUE.values():
+        ideal = entry.effect.everywhere(arm, arm.keypoint_names)[0].bound(arm)
+        for effect in (ideal, ideal.nonideal()):
             if effect is not None:
                 ones = {p.name: (torch.ones(1), p.unit) for p in effect.parameters(scale)}
-                shown = effect.described({name: one for name, (one, _) in ones.items()}) or ones
+                shown = entry.reported(effect, {name: one for name, (one, _) in ones.items()}) or ones
                 named = {name: Estimate(1.0, 0.1, (0.9, 1.1), unit) for name, (_, unit) in shown.items()}
                 told = words.meaning(Finding(effect.name, effect.side, {}, named))
-                assert any(each in told for each in effect.form_words.values()) == effect.soft
+                assert any(each in told for each in entry.variant_words.values()) == bool(effect.variant)
     assert words.meaning(Finding("my_own", "dynamics", {}, {})) is None
 
 

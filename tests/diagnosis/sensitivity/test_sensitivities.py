@@ -61,7 +61,7 @@ def having(model, effect, values):
 @pytest.mark.parametrize("regime", ["commanded", "passive", "unknown_torque"])
 def test_every_effect_that_a_regime_knows_is_considered(regime):
     names = {effect.name for effect in considered(bound(regime))}
-    idle = {name for name, kind in EFFECTS.items() if kind.needs_command and regime != "commanded"}
+    idle = {name for name in EFFECTS if name.startswith("actuator_") and regime != "commanded"}
     idle |= {name for name, kind in EFFECTS.items() if kind.sensor == "encoders"}  # there are none
     assert names == set(EFFECTS) - idle
     assert {e.name for e in considered(bound(regime), ["payload"])} == names - {"payload"}
@@ -94,7 +94,7 @@ def test_columns_of_every_effect(regime, name):
             assert min(hypothesis.sd) > 0
             # A gear begins where a gain by its usual form ends.
             assert max(hypothesis.lower) <= (1 if effect.form == "geared" else 0)
-        if not effect.located:
+        if not any(p.located for p in effect.parameters(here.model.scale)):
             assert np.exp([h.log_weight for h in found]).sum() == pytest.approx(1.0)
 
 

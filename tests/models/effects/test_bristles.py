@@ -120,14 +120,13 @@ def test_acceleration_knows_how_far_they_are_bent(arm, having, states):
 
 
 def test_it_stands_under_the_frictions_own_name(arm):
-    soft = CoulombFriction("joint1").softened()
-    bristles = soft.softened()
+    soft = CoulombFriction("joint1").nonideal()
+    bristles = soft.nonideal()
     assert isinstance(bristles, BristleFriction)
-    assert (bristles.key, bristles.softened(), bristles.softness) == (soft.key, None, 2)
+    assert (bristles.key, bristles.nonideal(), bristles.variant) == (soft.key, None, 2)
     model = arm(2)
     names = [p.name for p in bristles.bound(model.body).parameters(model.scale)]
     assert names == ["torque", "bristle_stiffness", "bristle_damping"]
-    assert bristles.as_soft({"torque": 1.0, "settling": 0.01, "creep": 0.001}) == {"torque": 1.0}
     beside = model.with_effects(bristles, CoulombFriction("joint0"), ViscousFriction("joint0"))
     assert beside.state_dim == model.state_dim + 1
     with pytest.raises(ValueError, match="at most one effect whose hidden states move the arm"):

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.models import Keypoints, Observation
 from invdyn.models.effects import (
     CameraLatency,
@@ -107,14 +108,13 @@ def test_optics_about_any_centre(kind, values, arm, having, states):
     centre = np.array([0.1, -0.25])
     ideal = arm(2)
     x = states(ideal, 6)
-    soft = kind().softened()
+    soft = kind().nonideal()
     found, _ = tips(having(ideal, soft, **values, centre_x=centre[0], centre_y=centre[1]), x)
     moved = ideal.replace(**{"body.base": ideal.parameters["body.base"] - torch.as_tensor(centre)})
     expected, _ = tips(having(moved, kind(), **values), x)
     assert found == pytest.approx(expected + centre)
-    assert tips(having(ideal, soft, **soft.as_soft(values)), x)[0] == pytest.approx(
-        tips(having(ideal, kind(), **values), x)[0]
-    )
+    centred = CATALOGUE.of(soft).start(soft, values)
+    assert tips(having(ideal, soft, **centred), x)[0] == pytest.approx(tips(having(ideal, kind(), **values), x)[0])
 
 
 def test_under_latency_a_state_is_that_of_the_picture(arm, having, states):

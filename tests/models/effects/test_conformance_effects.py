@@ -9,6 +9,7 @@ import pytest
 import torch
 from pyro import poutine
 
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.models import Encoders, Keypoints, Observation
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
@@ -18,7 +19,7 @@ from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
-FORMS = (*EFFECTS, *(f"softer {name}" for name, kind in EFFECTS.items() if kind.softens))
+FORMS = (*EFFECTS, *(f"softer {name}" for name, entry in CATALOGUE.items() if entry.variants))
 FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if issubclass(kind, RegularisedFriction)))
 FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
@@ -47,7 +48,7 @@ def at_all_places(name, model):
     if EFFECTS[plain].forms:
         found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
     for _ in range(form.count("softer")):
-        found = [effect.softened() for effect in found]
+        found = [effect.nonideal() for effect in found]
     several = EFFECTS[plain].site in ("pair", "keypoints") or form == "joints:"
     assert found or (several and model.body.num_joints == 1)
     return found
@@ -87,7 +88,7 @@ def test_names_units_and_priors(name, arm):
                     assert bool(p.prior.support.check(inside).all())
                     assert len(p.grid) <= 24
                     assert len(set(p.grid)) == len(p.grid)
-                    assert p.grid or p.absent is not None or p.name in effect.located
+                    assert not p.located or p.name in ("moment", "duration")
 
 
 @EVERY
@@ -99,14 +100,14 @@ def test_grids_lie_where_the_prior_is(name, arm):
             assert max(p.grid) <= draws[-4]
 
 
-@pytest.mark.parametrize(("name", "narrow"), [(n, other) for n, e in EFFECTS.items() for other in e.contains])
+@pytest.mark.parametrize(("name", "narrow"), [(n, other) for n, e in CATALOGUE.items() for other in e.special_cases])
 def test_what_it_contains_is_a_special_case(name, narrow, arm, states):
     model = arm(2)
     theirs = drawn(model.with_effects(one(narrow, model)), seed=3)[0]
     mine = drawn(model.with_effects(one(name, model)), seed=4)[0]
     values = {
         f"effect.{one(name, model).key}.{own}": theirs.parameters[f"effect.{one(narrow, model).key}.{its}"]
-        for own, its in EFFECTS[name].contains[narrow].items()
+        for own, its in CATALOGUE[name].special_cases[narrow].items()
     }
     rows = torch.arange(mine.num_steps)
     x = states(mine, mine.num_steps)
@@ -120,7 +121,7 @@ def test_reports_have_units(name, arm):
     model = arm(2)
     effect = one(name, model).bound(model.body)
     values = {p.name: p.prior.sample((5, 1)) for p in effect.parameters(model.scale)}
-    for value, unit in effect.described(values).values():
+    for value, unit in CATALOGUE.of(effect).reported(effect, values).values():
         assert value.shape == (5, 1)
         assert unit in UNITS
 
@@ -328,3 +329,15 @@ def test_an_effect_of_ones_own(arm, states):
     pushed = arm(2, command=ideal.command + torch.tensor([0.0, 0.7]))
     x = states(ideal, 5)
     torch.testing.assert_close(model.transition_mean(x, 3), pushed.transition_mean(x, 3))
+
+
+def test_an_effect_that_changes_nothing_is_refused(arm):
+    class Misspelt(Effect):
+        def parameters(self, scale):
+            return ()
+
+        def forces(self, p, now):
+            return now.q
+
+    with pytest.raises(ValueError, match="misspelt: expected a method named body, interval, command, force"):
+        arm(2).with_effects(Misspelt("joint1"))

@@ -7,6 +7,7 @@ import pytest
 import torch
 from rod import F64, INERTIA, rod, rolled, torque_of
 
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.models import ArmModel, Body, Link
 from invdyn.models.effects import (
     Armature,
@@ -48,7 +49,8 @@ def test_a_stop_pushes_and_never_pulls(side, sign, having):
         expected = -sign * max(0.0, 20.0 * depth + speed) if depth > 0 else 0.0
         assert torque_of(model, ideal, x).item() == pytest.approx(expected)
     effect = model.effects.effects[0]
-    assert effect.described({key: torch.ones(1) for key in ("angle", "stiffness", "damping")})["side"][0] == sign
+    ones = {key: torch.ones(1) for key in ("angle", "stiffness", "damping")}
+    assert CATALOGUE.of(effect).reported(effect, ones)["side"][0] == sign
     with pytest.raises(ValueError, match="side among upper, lower"):
         JointLimit("hinge", "left")
 
@@ -90,7 +92,8 @@ def test_ripple_is_a_sine_of_the_angle(having, states, arm):
     model = having(ideal, TorqueRipple("joint1"), **parts)
     x = states(ideal, 10)
     assert torque_of(model, ideal, x)[:, 1].numpy() == pytest.approx(A * np.sin(N * x[:, 3].numpy() + phase))
-    told = model.effects.effects[0].described({key: torch.tensor([value]) for key, value in parts.items()})
+    effect = model.effects.effects[0]
+    told = CATALOGUE.of(effect).reported(effect, {key: torch.tensor([value]) for key, value in parts.items()})
     assert [told[key][0].item() for key in ("amplitude", "phase", "periods")] == pytest.approx([A, phase, N])
 
 
@@ -152,7 +155,8 @@ def test_a_push_gives_its_impulse(start, stop, having):
 
 def test_a_push_is_told_as_a_force_between_two_moments():
     values = {"impulse_x": 0.6, "impulse_y": -0.3, "moment": 1.0, "duration": 0.2}
-    told = ExternalPush("tip").described({name: torch.tensor([value], dtype=F64) for name, value in values.items()})
+    given = {name: torch.tensor([value], dtype=F64) for name, value in values.items()}
+    told = CATALOGUE["external_push"].reported(ExternalPush("tip"), given)
     expected = {"force_x": (3.0, "N"), "force_y": (-1.5, "N"), "start": (0.9, "s"), "stop": (1.1, "s")}
     assert {name: (pytest.approx(value.item()), unit) for name, (value, unit) in told.items()} == expected
 
@@ -197,6 +201,6 @@ def test_a_shaken_base_is_told_as_amplitude_and_phase():
         for axis, a in zip("xy", amplitude, strict=True):
             values[f"sine_{axis}"] = torch.tensor([a * math.cos(phase)])
             values[f"cosine_{axis}"] = torch.tensor([a * math.sin(phase)])
-        told = BaseMotion().described(values | {"frequency": torch.tensor([2.0])})
+        told = CATALOGUE["base_motion"].reported(BaseMotion(), values | {"frequency": torch.tensor([2.0])})
         found = [told[key][0].item() for key in ("amplitude_x", "amplitude_y", "phase", "frequency")]
         assert found == pytest.approx([0.02, -0.006, phase, 2.0], abs=1e-6)

@@ -9,11 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pendulum import ARM, PENDULUM
 
+from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue.neighbours import neighbours, of_same_period
+from invdyn.diagnosis.catalogue.period_equivalents import factor
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import Joint, SpatialLink, Tree
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.inertias import inertia_of
-from invdyn.models.effects.neighbours import ALLOWED, neighbours
-from invdyn.models.effects.period_equivalents import NAMES, equivalents, factor
 from invdyn.simulate import random_arm
 
 BODIES = {"one link": PENDULUM, "two links": ARM, "flat": replace(PENDULUM, gravity=(0.0, 0.0))}
@@ -23,6 +25,15 @@ CANDIDATES = {
     for name, body in BODIES.items()
 }
 SCALE = SCALES["one link"]
+NAMES = [name for name, entry in CATALOGUE.items() if entry.same_period]
+
+
+def equivalents(rho, body=SCALE.body):
+    """What gives the pendulum a period of factor ρ, from the clock that does."""
+    clock = next(e for e in CANDIDATES["one link"] if e.name == "clock_rate" and e.form is None)
+    return of_same_period(clock, {"rate": rho**0.5}, replace(SCALE, body=body), CATALOGUE)
+
+
 M, C, LENGTH = 1.0, 0.125, 0.25  # the forearm's
 AT, MOMENTS = (0.2, -0.1, 0.05), (0.02, 0.03, 0.04, 0.0, 0.0, 0.0)
 """m, of a tip in space; kg·m² of its link."""
@@ -30,7 +41,7 @@ AT, MOMENTS = (0.2, -0.1, 0.05), (0.02, 0.03, 0.04, 0.0, 0.0, 0.0)
 
 def around(key, values, where="two links", sd=0.01, passive=False):
     mine = next(e for e in CANDIDATES[where] if e.key == key)
-    found = neighbours(mine, values, dict.fromkeys(values, sd), CANDIDATES[where], SCALES[where], passive)
+    found = neighbours(mine, values, dict.fromkeys(values, sd), CANDIDATES[where], SCALES[where], passive, CATALOGUE)
     return {(each.effect.key, each.kind): list(each.starts) for each in found}
 
 
@@ -49,7 +60,7 @@ def loaded(m):
 
 @given(st.floats(0.01, 3.0))
 def test_errors_that_are_a_load_begin_at_that_load(mass):
-    starts = around("inertial_error.forearm", loaded(mass))["payload", "alike"]
+    starts = around("inertial_error.forearm", loaded(mass))["payload", "similar"]
     assert [start["mass"] for start in starts] == pytest.approx([mass, mass], rel=1e-9)
     assert around("inertial_error.upper_arm", loaded(mass)) == {}
 
@@ -65,7 +76,7 @@ def test_in_space_too_by_weight_and_by_inertia(mass):
     other = own.loaded(torch.tensor([mass], dtype=torch.float64), torch.tensor(AT, dtype=torch.float64))
     values = dict(zip(mine.coms, (other.com - own.com).tolist(), strict=True))
     values |= {"mass": mass, "inertia": (other.mean - own.mean).item()}
-    starts = mine.starts_of(payload, values, random_arm(body, duration=0.1, fps=50).scale)
+    starts = CATALOGUE.of(mine).starts["payload"](mine, payload, values, random_arm(body, duration=0.1, fps=50).scale)
     assert [start["mass"] for start in starts] == pytest.approx([mass, mass], rel=1e-6)
 
 
@@ -84,13 +95,13 @@ def test_twins_have_the_values_of_each_other():
 
 def test_a_law_and_its_special_case_are_neighbours_where_parameters_allow_it():
     def loaded(level):
-        return {("load_friction.elbow", "alike"): [{"coefficient": level / SCALES["two links"].torque[1]}]}
+        return {("load_friction.elbow", "similar"): [{"coefficient": level / SCALES["two links"].torque[1]}]}
 
     wider = {("stribeck_friction.elbow", "wider"): [{"coulomb": 0.2, "static": 0.2}]}
     assert around("coulomb_friction.elbow", {"torque": 0.2}) == wider | loaded(0.2)
-    values = {"coulomb": 0.1, "static": 0.1 + 2 * ALLOWED * 0.01, "velocity": 1.0}
+    values = {"coulomb": 0.1, "static": 0.1 + 2 * FIXED.special_case_sds * 0.01, "velocity": 1.0}
     assert around("stribeck_friction.elbow", values) == loaded(0.1)
-    near = values | {"static": 0.1 + 0.5 * ALLOWED * 0.01}
+    near = values | {"static": 0.1 + 0.5 * FIXED.special_case_sds * 0.01}
     assert set(around("stribeck_friction.elbow", near)) == {("coulomb_friction.elbow", "narrower"), *loaded(0.1)}
     assert around("load_friction.elbow", {"coefficient": 0.1}) == {}
 
@@ -99,10 +110,11 @@ def test_friction_under_load_begins_as_large_as_what_stands_in_for_it():
     """Along a swing that a motor holds up, k of its load is the level in the mean."""
     arm = random_arm(ARM, duration=1.0, fps=50, commanded=True)
     coulomb, load = (EFFECTS[name]("elbow").bound(ARM) for name in ("coulomb_friction", "load_friction"))
-    (start,) = coulomb.starts_of(load, {"torque": 0.3}, arm.scale)
+    starts = CATALOGUE.of(coulomb).starts["load_friction"]
+    (start,) = starts(coulomb, load, {"torque": 0.3}, arm.scale)
     carried = 2 * arm.scale.command[:, 1].abs()
     assert start["coefficient"] * carried.mean().item() == pytest.approx(0.3)
-    assert list(coulomb.starts_of(load, {"torque": 0.0}, arm.scale)) == []
+    assert list(starts(coulomb, load, {"torque": 0.0}, arm.scale)) == []
 
 
 def test_soft_tissue_may_be_a_link_that_bends():
@@ -111,7 +123,7 @@ def test_soft_tissue_may_be_a_link_that_bends():
     stiffness = [start["stiffness"] for start in starts]
     assert len(stiffness) == 3
     assert np.all(np.diff(stiffness) > 0)
-    assert set(around("soft_tissue.elbow", {"kappa": 1e-4})) == {("link_flexibility.upper_arm", "alike")}
+    assert set(around("soft_tissue.elbow", {"kappa": 1e-4})) == {("link_flexibility.upper_arm", "similar")}
 
 
 @pytest.mark.parametrize(
@@ -130,7 +142,7 @@ def test_only_what_hangs_and_is_left_to_itself_has_one_period(where, passive, na
 
 @given(st.floats(0.5, 2.0))
 def test_each_equivalent_has_the_same_factor(rho):
-    found = equivalents(rho, SCALE.body)
+    found = equivalents(rho)
     assert set(found) <= set(NAMES)
     for name, values in found.items():
         assert factor(*whole(name, values), SCALE.body) == pytest.approx(rho, rel=1e-9)
@@ -139,10 +151,10 @@ def test_each_equivalent_has_the_same_factor(rho):
 def test_a_swing_cannot_be_slower_than_its_weight_at_the_tip():
     """A load at the tip of a rod makes a pendulum of its length at most, which is half as long again; no more mass
     makes the swing faster."""
-    assert set(equivalents(1.4, SCALE.body)) == set(NAMES)
-    assert set(equivalents(1.6, SCALE.body)) == set(NAMES) - {"payload"}
-    assert set(equivalents(0.9, SCALE.body)) == {"clock_rate", "inertial_error"}
-    assert set(equivalents(0.6, SCALE.body)) == {"clock_rate"}  # a link's weight by itself resists as much
+    assert set(equivalents(1.4)) == set(NAMES)
+    assert set(equivalents(1.6)) == set(NAMES) - {"payload"}
+    assert set(equivalents(0.9)) == {"clock_rate", "inertial_error"}
+    assert set(equivalents(0.6)) == {"clock_rate"}  # a link's weight by itself resists as much
 
 
 def test_a_link_that_does_not_hang_has_no_period():
@@ -150,4 +162,4 @@ def test_a_link_that_does_not_hang_has_no_period():
     for com in (0.0, -0.05):
         link = PENDULUM.with_values(com=[com]).parameters()
         effect = EFFECTS["payload"]().bound(PENDULUM)
-        assert equivalents(factor(effect, {"mass": 0.4}, link), link) == {}
+        assert of_same_period(effect, {"mass": 0.4}, replace(SCALE, body=link), CATALOGUE) == {}

@@ -17,7 +17,6 @@ that it can have:
 Units: kg, m, s.
 """
 
-import math
 from collections.abc import Mapping
 
 import torch
@@ -25,9 +24,8 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.effects.base import Effect
+from invdyn.models.effects.composition import Composition
 from invdyn.models.effects.inertial_error import LEAST
-
-NAMES = ("armature", "clock_rate", "inertial_error", "payload")
 
 
 def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) -> float:
@@ -35,28 +33,36 @@ def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) ->
 
     Not positive or not finite where the link does not hang, or no longer does.
     """
-    p = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    changed, own = effect.body(p, body), effect.inertia(p, 1)
+    p = {f"effect.{effect.key}.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    alone = Composition((effect,))
+    changed, own = alone.body(p, body), alone.inertia(p, 1)
     inertia = _inertia(changed) + (0.0 if own is None else own)
-    step = effect.interval(p, torch.ones(1, dtype=torch.float64))
+    step = alone.interval(p, torch.ones(1, dtype=torch.float64))
     return float(inertia / _inertia(body) * _moment(body) / _moment(changed) / step**2)
 
 
-def equivalents(rho: float, body: BodyParameters) -> dict[str, dict[str, float]]:
-    """Parameters of each of ``NAMES`` that have the factor ρ; those left out that cannot, all where nothing hangs."""
-    if not 0 < rho < math.inf:
-        return {}
-    inertia, moment, length = float(_inertia(body)), float(_moment(body)), float(body.length)
-    more = (rho - 1) * inertia
-    slowing = length**2 - rho * inertia * length / moment
-    values = {"clock_rate": {"rate": rho**0.5}}
-    if more > (LEAST - 1) * float(body.inertia):
-        values["inertial_error"] = {"inertia": more}
-    if more > 0:
-        values["armature"] = {"inertia": more}
-    if more * slowing > 0:
-        values["payload"] = {"mass": more / slowing}
-    return values
+def armature(rho: float, body: BodyParameters) -> dict[str, float] | None:
+    """Parameters of a rotor that has the factor ρ; None where none has."""
+    more = (rho - 1) * float(_inertia(body))
+    return {"inertia": more} if more > 0 else None
+
+
+def inertial_error(rho: float, body: BodyParameters) -> dict[str, float] | None:
+    """The same of an error of the link's inertia."""
+    more = (rho - 1) * float(_inertia(body))
+    return {"inertia": more} if more > (LEAST - 1) * float(body.inertia) else None
+
+
+def payload(rho: float, body: BodyParameters) -> dict[str, float] | None:
+    """The same of a payload."""
+    inertia, length = float(_inertia(body)), float(body.length)
+    more, slowing = (rho - 1) * inertia, length**2 - rho * inertia * length / float(_moment(body))
+    return {"mass": more / slowing} if more * slowing > 0 else None
+
+
+def clock_rate(rho: float, body: BodyParameters) -> dict[str, float] | None:
+    """The same of a clock."""
+    return {"rate": rho**0.5}
 
 
 def _inertia(body: BodyParameters) -> Tensor:

@@ -2,12 +2,25 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.problem.unknowns import prior_sd
+from invdyn.models import ArmModel, Body, Link
 from invdyn.models.effects import EFFECTS
-from invdyn.models.effects.joint_limit import have_room
+
+ARM = Body("arm", [Link(f"link{k}", f"joint{k}", f"tip{k}", 0.3, 1.5 - k) for k in range(2)])
+
+
+@pytest.fixture
+def arm():
+    def make(joints):
+        return ArmModel(ARM, 0.01 * np.arange(12), command=np.ones((12, joints)))
+
+    return make
+
 
 SURE = 1e-3
 """Of a parameter's value: its standard deviation."""
@@ -21,7 +34,7 @@ def credible(arm, name, where, within=None, sd=SURE, **mean):
     if within is not None:
         scale = replace(scale, range=torch.tensor([within, within], dtype=torch.float64))
     mean = {key: value(scale) if callable(value) else value for key, value in mean.items()}
-    return effect.credible(mean, {key: sd * abs(value) for key, value in mean.items()}, scale)
+    return CATALOGUE.of(effect).credible(effect, mean, {key: sd * abs(value) for key, value in mean.items()}, scale)
 
 
 @pytest.mark.parametrize(("rest", "expected"), [(3.0, True), (-6.0, True), (7.0, False), (-1000.0, False)])
@@ -65,12 +78,13 @@ def test_two_stops_of_a_joint_leave_it_room(lower, upper, expected, arm):
         EFFECTS["joint_limit"](*where).bound(model.body)
         for where in (("joint0", "lower"), ("joint0", "upper"), ("joint1", "upper"))
     )
-    values = {f"{low.key}.angle": lower, f"{high.key}.angle": upper, f"{other.key}.angle": upper}
-    assert have_room([low, high], values, scale) is expected
-    assert have_room([low, high, other], values, scale) is expected
-    assert have_room([low, high], values, model.scale) is (lower < upper)
-    assert have_room([low, other], values, scale)
-    assert have_room([], {}, scale)
+    low, high, other = ((e, {"angle": angle}) for e, angle in ((low, lower), (high, upper), (other, upper)))
+    have_room = CATALOGUE["joint_limit"].credible_together
+    assert have_room([low, high], scale) is expected
+    assert have_room([low, high, other], scale) is expected
+    assert have_room([low, high], model.scale) is (lower < upper)
+    assert have_room([low, other], scale)
+    assert have_room([], scale)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +104,7 @@ def test_a_coupling_minds_both_joints(ratio, sd, expected, arm):
     spread = {"stiffness": 0.1, "ratio": sd, "torque": 0.1}
     for torque, slack in ((0.5, True), (100.0, False)):
         mean = {"stiffness": 1.0, "ratio": ratio, "torque": torque}
-        assert coupling.credible(mean, spread, model.scale) is (expected and slack)
+        assert CATALOGUE["joint_coupling"].credible(coupling, mean, spread, model.scale) is (expected and slack)
 
 
 @pytest.mark.parametrize(("static", "expected"), [(0.3, True), (0.2, True), (0.19, False), (0.01, False)])
@@ -110,7 +124,8 @@ def test_typical_sizes_are_credible(name, arm):
         effect = effect.bound(model.body)
         parameters = effect.parameters(model.scale)
         values = {p.name: p.grid[len(p.grid) // 2] if p.grid else 0.3 * prior_sd(p) for p in parameters}
-        assert effect.credible(values, {key: 0.1 * abs(value) for key, value in values.items()}, model.scale)
+        sd = {key: 0.1 * abs(value) for key, value in values.items()}
+        assert CATALOGUE[name].credible(effect, values, sd, model.scale)
 
 
 @pytest.mark.parametrize(
@@ -121,4 +136,5 @@ def test_a_frame_is_mistimed_by_a_few_frames(frames, rate, expected, arm):
     model = arm(2)
     mean = {"rate": rate, "sd": frames * model.scale.time.diff().median().item()}
     effect = EFFECTS["timestamp_jitter"]().bound(model.body)
-    assert effect.credible(mean, {name: SURE * value for name, value in mean.items()}, model.scale) is expected
+    sd = {name: SURE * value for name, value in mean.items()}
+    assert CATALOGUE.of(effect).credible(effect, mean, sd, model.scale) is expected
