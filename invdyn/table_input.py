@@ -9,7 +9,7 @@ from invdyn.inference.plausible_for_body import check_fits, rooted, slides
 from invdyn.models import Body, Tree, dynamics_for
 from invdyn.recordings import FORMATS, InputError, Recording, bridged, in_body_lengths, load, parse_units
 from invdyn.recordings.errors import about
-from invdyn.recordings.formats import recognise
+from invdyn.recordings.formats.registry import recognise
 from invdyn.recordings.naming import closest
 from invdyn.recordings.plane import FLAT
 from invdyn.recordings.reading import Reading

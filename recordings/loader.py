@@ -9,9 +9,9 @@ import numpy as np
 
 from . import catalogue
 from .errors import InputError, about
-from .formats import FORMATS, Format, recognise
-from .keypoint_csv import numbers_frames, read_keypoint_csv
-from .naming import alike, closest
+from .formats.keypoint_csv import numbers_frames, read_keypoint_csv
+from .formats.registry import FORMATS, Format, recognise
+from .naming import closest, same_letters
 from .paths import check_readable, resolved
 from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
@@ -158,7 +158,7 @@ def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_f
     In the body's own frame, where the project's own file is by contract, a base need not be tracked.
     """
     known = recording.keypoint_names
-    if near := alike(base, [name for name in known if name not in keypoints]):
+    if near := same_letters(base, [name for name in known if name not in keypoints]):
         raise InputError(
             f"keypoint {near!r} differs from the first joint's name, {base!r}, in case or spaces alone: rename one of "
             f"them, or pass --base {near!r}"

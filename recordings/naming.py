@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable
 
 
-def alike(name: str, known: Iterable[str]) -> str | None:
+def same_letters(name: str, known: Iterable[str]) -> str | None:
     """The first of `known` that differs from `name` in case, spaces, hyphens and underscores alone, if there is one."""
     return next((other for other in known if other != name and _letters(other) == _letters(name)), None)
 
@@ -12,7 +12,7 @@ def alike(name: str, known: Iterable[str]) -> str | None:
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The one of `known` that `name` probably means; None if it is similar to none."""
     known = list(known)
-    return alike(name, known) or next(iter(difflib.get_close_matches(name, known, 1)), None)
+    return same_letters(name, known) or next(iter(difflib.get_close_matches(name, known, 1)), None)
 
 
 def closest(name: str, known: Iterable[str]) -> str:

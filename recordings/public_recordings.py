@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .deeplabcut import read_deeplabcut_csv
+from .formats.deeplabcut import read_deeplabcut_csv
 from .recording import Recording
 from .tables import read_numbers, read_rows, read_table
 from .truth import Truth

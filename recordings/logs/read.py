@@ -105,7 +105,7 @@ def _recording(episode: Episode, joints: Sequence[str], mapping: LogMap, name: s
     nothing = np.full(len(rows), np.nan)
 
     def columns(found: list[Track | None], last: bool) -> np.ndarray:
-        made = [nothing if t is None else t.held(rows + SAME_TIME) if last else _near(t, rows) for t in found]
+        made = [nothing if t is None else t.last_before(rows + SAME_TIME) if last else _near(t, rows) for t in found]
         return np.stack(made, -1)
 
     recording = Recording(

@@ -28,7 +28,7 @@ class Track:
         kept, first = np.unique(time[use], return_index=True)
         return cls(kept, values[use][first], target)
 
-    def held(self, time: np.ndarray) -> np.ndarray:
+    def last_before(self, time: np.ndarray) -> np.ndarray:
         """The last value at or before each time, NaN before the first."""
         known = np.isfinite(self.values)
         at = np.searchsorted(self.time[known], time, side="right") - 1

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..deeplabcut import LEVELS, assembled
 from ..errors import InputError, about
-from ..formats import FORMATS, recognise
+from ..formats.deeplabcut import LEVELS, assembled
+from ..formats.registry import FORMATS, recognise
 from ..recording import Recording
 from ..tables import Row, read_numbers, read_rows, read_table, write_table
 

@@ -22,8 +22,8 @@ from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, l
 from invdyn.models.bodies.mjcf_writer import write_mjcf
 from invdyn.models.linear_gaussian import LinearGaussian
 from invdyn.recordings import Recording, load
+from invdyn.recordings.formats.keypoint_csv import write_keypoint_csv
 from invdyn.recordings.joined import joined
-from invdyn.recordings.keypoint_csv import write_keypoint_csv
 
 EXACT = 1e-6
 """Relative tolerance: the search for parameters repeats its steps, and rounding is all that differs."""

@@ -3,7 +3,7 @@ import errno
 import pytest
 
 from invdyn.recordings import FORMATS, InputError, load
-from invdyn.recordings.formats import recognise
+from invdyn.recordings.formats.registry import recognise
 
 GOOD = "time,wrist_x,wrist_y\n0,0,0\n1,0,1\n"
 

@@ -1,12 +1,12 @@
 import pytest
 
 from invdyn.recordings import InputError, load
-from invdyn.recordings.naming import alike, nearest
+from invdyn.recordings.naming import nearest, same_letters
 
 
 def test_names_alike_differ_in_case_and_separators_alone():
-    assert alike("Left Elbow", ["wrist", "left_elbow"]) == "left_elbow"
-    assert alike("elbow", ["elbow", "elbows"]) is None
+    assert same_letters("Left Elbow", ["wrist", "left_elbow"]) == "left_elbow"
+    assert same_letters("elbow", ["elbow", "elbows"]) is None
     assert nearest("Knee", ["keen", "knee"]) == "knee"
     assert nearest("wirst", ["elbow", "wrist"]) == "wrist"
     assert nearest("x", []) is None

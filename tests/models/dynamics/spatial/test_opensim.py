@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
 from invdyn.recordings import load
-from invdyn.recordings.opensim import read_sto, write_moments, write_motion
+from invdyn.recordings.formats.opensim import read_sto, write_moments, write_motion
 
 
 def numbers(element, tag):

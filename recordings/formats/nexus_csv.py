@@ -15,11 +15,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from .deeplabcut import choose_individual
-from .errors import InputError, about
-from .recording import Recording
-from .tables import read_lines, read_numbers
-from .units import METRES
+from ..errors import InputError, about
+from ..recording import Recording
+from ..tables import read_lines, read_numbers
+from ..units import METRES
+from .individuals import choose_individual
 
 SECTION = "Trajectories"
 SECTIONS = (SECTION, "Devices", "Joints", "Model Outputs", "Segments", "Events")

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from invdyn.recordings import InputError, load
+from invdyn.recordings.formats.pandas_h5 import read_pandas_h5
 from invdyn.recordings.limits import Limits
-from invdyn.recordings.pandas_h5 import read_pandas_h5
 
 tables = pytest.importorskip("tables")
 KEY = "df_with_missing"

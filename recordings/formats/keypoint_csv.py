@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, about
-from .naming import closest, nearest
-from .recording import Recording, check_time
-from .tables import read_header, read_table, write_table
+from ..errors import InputError, about
+from ..naming import closest, nearest
+from ..recording import Recording, check_time
+from ..tables import read_header, read_table, write_table
 
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")

@@ -15,12 +15,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .deeplabcut import choose_individual
-from .errors import InputError, readable
-from .hdf5_size import bytes_of
-from .limits import LIMITS
-from .paths import check_readable
-from .recording import Recording
+from ..errors import InputError, readable
+from ..hdf5_size import bytes_of
+from ..limits import LIMITS
+from ..paths import check_readable
+from ..recording import Recording
+from .individuals import choose_individual
 
 SERIES = "PoseEstimationSeries"
 

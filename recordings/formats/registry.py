@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..errors import InputError, readable
+from ..paths import check_readable
+from ..plane import OURS, Axes
+from ..recording import Recording
+from ..tables import read_header
+from ..tracking.film import is_film
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
-from .errors import InputError, readable
-from .movement_formats import read_with_movement
+from .movement_package import read_with_movement
 from .nexus_csv import is_nexus, read_nexus_csv
 from .nwb_pose import read_nwb_pose
 from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
-from .paths import check_readable
-from .plane import OURS, Axes
-from .recording import Recording
 from .sleap_csv import FIRST, read_sleap_csv
-from .tables import read_header
-from .tracking.film import is_film
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Format:
         own_times: the file carries its times; otherwise the frame rate must be given.
         own_units: the file carries its units or is SI by contract; otherwise they must be given.
         animals: the file can hold several animals.
-        axes: where its axes lie in a Recording (:mod:`.plane`).
+        axes: where its axes lie in a Recording (:mod:`..plane`).
         angle_unit: what a file says that its angles are in, a key of `units.RADIANS`, or None.
     """
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, about
+from ..errors import InputError, about
+from ..recording import Recording
+from ..tables import read_numbers, read_rows
+from .individuals import choose_individual
 from .pandas_h5 import read_pandas_h5
-from .recording import Recording
-from .tables import read_numbers, read_rows
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 SINGLE = "single"
@@ -53,16 +54,6 @@ def read_deeplabcut_h5(path: str | Path, fps: float, individual: str | None = No
             raise InputError("not a DeepLabCut .h5 file: its table has no levels bodyparts and coords")
         columns = [label[1:] for label in columns]
         return _assemble(columns, numbers, frames, fps, individual, Path(path).stem)
-
-
-def choose_individual(names: list[str], individual: str | None) -> str:
-    """The only name, or the chosen one; InputError when there are several, or the chosen one is not there."""
-    if individual in names:
-        return individual
-    if individual is not None or len(names) != 1:
-        problem = "several animals" if individual is None else f"no animal {individual!r}"
-        raise InputError(f"{problem}: choose one of {', '.join(names)} (--set individual=NAME)")
-    return names[0]
 
 
 def assembled(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from invdyn.recordings import InputError, load
-from invdyn.recordings.formats import recognise
+from invdyn.recordings.formats.registry import recognise
 
 DEVICES = "Devices\n1000\n,,EMG - V\nFrame,Sub Frame,1\n,,V\n1,0,0.1\n1,1,0.2\n\n"
 TRACKS = "\n".join(

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from .deeplabcut import choose_individual
-from .errors import InputError, about, readable
-from .hdf5_size import check_hdf5
-from .recording import Recording
+from ..errors import InputError, about, readable
+from ..hdf5_size import check_hdf5
+from ..recording import Recording
+from .individuals import choose_individual
 
 SOFTWARE = {  # our name of a format: movement's
     "sleap": "SLEAP",

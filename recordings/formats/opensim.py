@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .atomic import write_text
-from .errors import InputError, about
-from .recording import Recording
-from .tables import read_lines, read_numbers
-from .units import METRES
+from ..atomic import write_text
+from ..errors import InputError, about
+from ..recording import Recording
+from ..tables import read_lines, read_numbers
+from ..units import METRES
 
 TRC_AXES = {"x": (0, 1.0), "y": (2, 1.0), "z": (1, -1.0)}
-"""Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`.plane`)."""
+"""Where a .trc's own axes lie in what :func:`read_trc` returns (:mod:`..plane`)."""
 ANGLES = {"yes": "deg", "no": "rad"}
 """The unit of rotating joints by the header's inDegrees; distances are in m in both cases."""
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .deeplabcut import choose_individual
-from .errors import InputError, about
-from .recording import Recording
-from .tables import read_numbers, read_rows
+from ..errors import InputError, about
+from ..recording import Recording
+from ..tables import read_numbers, read_rows
+from .individuals import choose_individual
 
 FIRST = ("track", "frame_idx", "instance.score")
 

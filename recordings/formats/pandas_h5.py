@@ -18,9 +18,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from .budget import memory_limit
-from .errors import InputError, readable
-from .hdf5_size import check_hdf5
+from ..budget import memory_limit
+from ..errors import InputError, readable
+from ..hdf5_size import check_hdf5
 
 Label = tuple[str, ...]
 
