@@ -15,9 +15,9 @@ from invdyn.models import load_body as read_body
 from invdyn.models.bodies.body_xml import is_xml
 from invdyn.recordings import InputError, Truth, load, load_truth, names, read_truth, resolved
 from invdyn.recordings.logs.read import kind_of
+from invdyn.recordings.paths import is_film
 from invdyn.recordings.plane import in_space
 from invdyn.recordings.reading import Reading
-from invdyn.recordings.tracking.film import is_film
 
 from .camera_input import read_cameras
 from .film_input import read_film

@@ -144,7 +144,7 @@ class Recorded:
 
     def tracks_file(self, default: Path) -> Path | None:
         """Where tracks go: the default unless it is said; None where the recording is no film."""
-        from invdyn.recordings.tracking.film import is_film
+        from invdyn.recordings.paths import is_film
 
         filmed = not self.calibration and is_film(self.recording)
         return (self.tracks or default) if filmed else None

@@ -9,6 +9,9 @@ import os
 import stat
 from pathlib import Path
 
+FILM_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp", ".mts", ".ts")
+"""By these a file is taken for a film where a recording may stand, too."""
+
 
 def resolved(path: str | Path) -> Path:
     """The absolute `path`, links followed and ~ expanded; it need not be there.
@@ -41,3 +44,8 @@ def check_readable(path: str | Path) -> Path:
     if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "expected an ordinary file, this is a device or a pipe", str(path))
     return Path(path)
+
+
+def is_film(path: str | Path) -> bool:
+    """Whether a path's suffix is one of a film."""
+    return Path(path).suffix.lower() in FILM_SUFFIXES

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, readable
-from ..paths import check_readable
+from ..paths import check_readable, is_film
 from ..plane import OURS, Axes
 from ..recording import Recording
 from ..tables import read_header
-from ..tracking.film import is_film
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .movement_package import read_with_movement
 from .nexus_csv import is_nexus, read_nexus_csv

@@ -19,8 +19,6 @@ import numpy as np
 from ..errors import InputError
 from ..paths import check_readable
 
-FILM_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp", ".mts", ".ts")
-"""By these a file is taken for a film where a recording may stand, too."""
 CONTAINERS = (
     *("mov", "matroska", "avi", "mpegts", "mpeg", "asf", "flv", "ogg", "mxf", "dv", "gif", "apng", "nut", "ivf"),
     *("mpegvideo", "m4v", "h264", "hevc", "mjpeg", "yuv4mpegpipe"),
@@ -28,11 +26,6 @@ CONTAINERS = (
 """What FFmpeg may take a file for, by its names: kinds that hold their pictures. A playlist (hls, concat, dash, sdp …)
 names other files and hosts, and would make it read them.
 """
-
-
-def is_film(path: str | Path) -> bool:
-    """Whether a path's suffix is one of a film."""
-    return Path(path).suffix.lower() in FILM_SUFFIXES
 
 
 @dataclass(frozen=True)

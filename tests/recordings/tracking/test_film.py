@@ -8,7 +8,8 @@ import pytest
 from filmed import picture, swinging, write_film
 
 from invdyn.recordings import InputError
-from invdyn.recordings.tracking.film import Film, is_film, read_pictures
+from invdyn.recordings.paths import is_film
+from invdyn.recordings.tracking.film import Film, read_pictures
 
 
 def test_pictures_come_back_with_uneven_times(tmp_path):
