@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.special import expit
 
 from ..errors import InputError
 from .blazepose_weights import Network, load_networks
@@ -99,7 +100,7 @@ class PersonTracker:
     def _people(self, picture: np.ndarray, region: np.ndarray) -> np.ndarray:
         """Squares (N, 4) about all people that the detector finds in a square region."""
         boxes, scores = self.detector(crop(picture, region, DETECTOR_SIDE) * 2 - 1)
-        score = _sigmoid(scores[0, :, 0])
+        score = expit(scores[0, :, 0])
         good = np.flatnonzero(score >= MIN_SCORE)
         good = good[np.argsort(-score[good], kind="stable")]
         points = boxes[0, good, 4:8].reshape(-1, 2, 2) / DETECTOR_SIDE + ANCHORS[good, None] - 0.5
@@ -121,9 +122,9 @@ class PersonTracker:
         rows, presence, maps = outputs[0].reshape(LANDMARKS, 5), outputs[1].item(), outputs[3][0]
         if presence < MIN_SCORE:
             return None
-        places = refined(rows[:, :2] / LANDMARKS_SIDE, _sigmoid(maps)) - 0.5
+        places = refined(rows[:, :2] / LANDMARKS_SIDE, expit(maps)) - 0.5
         pixels = square[:2] + square[2] * places @ rotation(square[3]).T
-        return pixels, _sigmoid(rows[:, 3]), square_about(pixels[CENTRE], pixels[CIRCLE])
+        return pixels, expit(rows[:, 3]), square_about(pixels[CENTRE], pixels[CIRCLE])
 
 
 def person_tracker(
@@ -150,10 +151,6 @@ def person_tracker(
 
 def _nearest(squares: np.ndarray, place: np.ndarray) -> np.ndarray | None:
     return squares[np.hypot(*(squares[:, :2] - place).T).argmin()] if len(squares) else None
-
-
-def _sigmoid(values: np.ndarray) -> np.ndarray:
-    return 1 / (1 + np.exp(-values))
 
 
 def square_about(centre: np.ndarray, circle: np.ndarray) -> np.ndarray:
