@@ -84,7 +84,10 @@ def import_litert() -> Callable:
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:
-        raise InputError("tracking a person needs one more package: pip install 'invdyn[tracking]'") from None
+        raise InputError(
+            "tracking a person needs one more package: pip install 'invdyn[tracking]' (LiteRT has wheels for Linux, "
+            "Windows on x86-64 and macOS on ARM)"
+        ) from None
     return Interpreter
 
 
