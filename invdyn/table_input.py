@@ -36,55 +36,38 @@ def read_table(
     individual: str | None = None,
     plane: str | None = None,
 ) -> list[Reading]:
-    """The one recording of a file; see :func:`load_recording`.
-
-    ``as_it_stands``: nothing is checked or left out, and numbers without ``units`` are taken to be SI.
-    """
-    (name,) = files
-    options: dict[str, Any] = {"units": units, "fps": fps, "format": format, "individual": individual, "plane": plane}
-    stated = parse_units(units)
-    if not as_it_stands:
-        options |= {"base": base, "scale": scale, "as_filmed": as_filmed, "guessed": guessed, "frames": frames}
-        return [Reading(load_recording(name, body, **options), stated)]
-    if _is_own(name, format):
-        usual = {"s": stated.time, "rad": stated.angle, "m": stated.length}
-        options["units"] = ",".join([*([units] if units else []), *(u for u, given in usual.items() if given is None)])
-    options["plane"] = plane or (FLAT if body.space == 2 else None)
-    recording = load(name, joints=body.joint_names, shifting=slides(body), **options)
-    return [Reading(recording.at(frame_range(frames)), stated)]
-
-
-def load_recording(
-    name: str,
-    body: Body | Tree,
-    *,
-    base: str | None = None,
-    scale: float | str | None = None,
-    as_filmed: bool = False,
-    guessed: bool = False,
-    frames: str = ":",
-    **options: Any,
-) -> Recording:
-    """Recording of the keypoints and joints of ``body``, checked against its lengths.
+    """The one recording of a file: keypoints and joints of the body, checked against its lengths.
 
     Args:
-        name: a file, or the name of a known recording.
+        files: one file, or the name of a known recording.
         body: says which keypoints and joints, and their order.
-        base: the keypoint at the first joint; in the plane by default the one with the joint's name. Where the file
-            has it, all others are taken relative to it, and moved to the body's own base.
-        scale: metres a pixel; "body", in the plane alone, for that of the body's own length. The base must then be
-            tracked. A warning says so unless the body is in body lengths itself.
+        frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
         as_filmed: leave keypoints as they are, if the file is in metres and ``base`` is not given. Subtracting the
             base would hide a tilted camera, and add the base's noise to all keypoints.
+        as_it_stands: check nothing, leave nothing out, and take numbers without ``units`` to be SI.
         guessed: the body's lengths are, and will be learned.
-        frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
-        options: units, fps, format … of :func:`invdyn.recordings.load`. Of a body in the plane a constant third
-            coordinate is left out, unless ``plane`` says which two are meant.
+        units, fps, format, individual: as of :func:`invdyn.recordings.load`.
+        scale: metres a pixel; "body", in the plane alone, for that of the body's own length. The base must then be
+            tracked. A warning says so unless the body is in body lengths itself.
+        base: the keypoint at the first joint; in the plane by default the one with the joint's name. Where the file
+            has it, all others are taken relative to it, and moved to the body's own base.
+        plane: two of the file's axes; by default a constant third coordinate is left out for a body in the plane.
 
     Raises:
         InputError: the file, or the file together with the body, makes no sense.
         OSError: the file cannot be opened.
     """
+    (name,) = files
+    options: dict[str, Any] = {"units": units, "fps": fps, "format": format, "individual": individual, "plane": plane}
+    stated, rows = parse_units(units), frame_range(frames)
+    if as_it_stands:
+        if _is_own(name, format):
+            usual = {"s": stated.time, "rad": stated.angle, "m": stated.length}
+            missing = [unit for unit, given in usual.items() if given is None]
+            options["units"] = ",".join([units, *missing] if units else missing)
+        options["plane"] = plane or (FLAT if body.space == 2 else None)
+        recording = load(name, joints=body.joint_names, shifting=slides(body), **options)
+        return [Reading(recording.at(rows), stated)]
     if isinstance(scale, str) and scale != BODY:
         raise InputError(f"scale: expected metres a pixel, or {BODY!r}, got {scale!r}")
     unscaled = scale == BODY
@@ -92,9 +75,14 @@ def load_recording(
     read = _in_plane if body.space == 2 else _in_space
     recording, length = read(name, body, base, unscaled, as_filmed, options)
     with about(name):
-        check_fits(recording, body, parse_units(options.get("units")), guessed or unscaled)
-        rows = frame_range(frames)
-        return bridged(recording.at(rows), length, rows.indices(recording.num_frames)[0])
+        check_fits(recording, body, stated, guessed or unscaled)
+        first = rows.indices(recording.num_frames)[0]
+        return [Reading(bridged(recording.at(rows), length, first), stated)]
+
+
+def load_recording(name: str, body: Body | Tree, **options: Any) -> Recording:
+    """The recording in one file; see :func:`read_table`."""
+    return read_table([name], body, **options)[0].recording
 
 
 def _in_plane(
