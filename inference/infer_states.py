@@ -125,13 +125,13 @@ def infer_states(
     return state_space_task(model, rows, options, seed, checkpoint, name, own).run(method, progress, executor)
 
 
-def given_sizes(num_filters: int | None, num_particles: int | None, num_draws: int | None) -> dict[str, int]:
+def given_sizes(num_filters: int | None, num_particles: int | None, num_draws: int | None) -> dict[str, Any]:
     """Those of the sizes that are given, as :class:`.SMCOptions` takes them."""
     sizes = {"num_filters": num_filters, "num_particles": num_particles, "num_draws": num_draws}
     return {size: value for size, value in sizes.items() if value is not None}
 
 
-def parameter_sizes(method: str, sizes: dict[str, int]) -> dict[str, Any]:
+def parameter_sizes(method: str, sizes: dict[str, Any]) -> dict[str, Any]:
     """Sizes as arguments of a method that learns parameters; {} of the others, which take them in their options."""
     if method not in PARAMETER_METHODS:
         return {}

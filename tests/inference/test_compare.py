@@ -64,7 +64,7 @@ def comparison(data):
         return compare(recording, ARM, ["smc", "broken", "bootstrap"], truth=truth, seed=1, **SMALL)
 
 
-def test_one_row_a_method_in_the_order_asked_for(comparison):
+def test_one_row_a_method_in_the_order_requested(comparison):
     assert isinstance(comparison, Comparison)
     assert list(comparison.table.index) == ["smc", "broken", "bootstrap"]
     assert list(comparison.posteriors) == ["smc", "bootstrap"]
@@ -123,7 +123,7 @@ def test_to_dict_is_json(comparison):
     assert written["held_out_rows"] == 8
 
 
-def test_same_seed_same_table_and_another_method_beside_it_changes_nothing(comparison, data):
+def test_same_seed_same_table_and_another_method_next_to_it_changes_nothing(comparison, data):
     recording, truth = data
     timed = ["seconds", "memory", "ess_per_second"]
     again = compare(recording, ARM, ["smc"], truth=truth, seed=1, **SMALL).table.drop(columns=timed)

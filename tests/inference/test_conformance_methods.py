@@ -202,12 +202,14 @@ def test_every_method_runs_on_every_model(method, kind):
 @pytest.mark.quick("1")
 def test_a_method_reports_its_progress(case):
     for method in ("svi", "vsmc", "particle-gibbs", "differentiate"):
-        told = []
-        METHODS[method](case, options=SIZES, progress=lambda *now, told=told: told.append(now), **QUICK.get(method, {}))
-        for what in {w for _, _, w in told}:
-            done = [d for d, _, w in told if w == what]
+        reported = []
+        METHODS[method](
+            case, options=SIZES, progress=lambda *now, reported=reported: reported.append(now), **QUICK.get(method, {})
+        )
+        for what in {w for _, _, w in reported}:
+            done = [d for d, _, w in reported if w == what]
             assert done == sorted(done)
-        assert told[-1][0] <= told[-1][1]
+        assert reported[-1][0] <= reported[-1][1]
         assert done[-1] > 0
 
 

@@ -614,7 +614,7 @@ def test_backward_simulation_refuses_a_state_without_noise_and_genealogy_does_no
     line(lambda *pair: run_filters(*pair, replace(options, dtype=torch.float32), guide="bootstrap"), model, rows)
 
 
-def test_a_density_that_is_lost_in_one_row_is_refused_there():
+def test_a_density_that_is_missing_in_one_row_is_refused_there():
     class Still(Right):
         def transition(self, state, t):
             scale = torch.where(torch.as_tensor(t) == 34, 0.0, 0.5).unsqueeze(-1).expand_as(state)

@@ -243,7 +243,7 @@ from invdyn.models import LinearGaussian
 
 
 @pytest.mark.long
-def test_a_killed_filter_goes_on_to_the_same_answer(tmp_path):
+def test_a_killed_filter_continues_to_the_same_answer(tmp_path):
     pytest.importorskip("safetensors")
     program = PROGRAM + inspect.getsource(linear) + "linear(130, sys.argv[1])"
     killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])

@@ -128,17 +128,21 @@ def test_known_settings_stay_and_the_rest_is_fitted():
     assert_close_to_truth(idata, truth, 0.35)
 
 
-def test_progress_is_told_for_every_stage():
+def test_progress_is_reported_for_every_stage():
     recording, _ = record(TIME[:15])
-    told = []
+    reported = []
     infer(
-        recording, body(), settings=KNOWN, progress=lambda done, total, what: told.append((what, done, total)), **SMALL
+        recording,
+        body(),
+        settings=KNOWN,
+        progress=lambda done, total, what: reported.append((what, done, total)),
+        **SMALL,
     )
-    stages = {what for what, _, _ in told}
+    stages = {what for what, _, _ in reported}
     assert "filter and smooth" in stages
     for stage in stages:
-        done = [d for what, d, _ in told if what == stage]
-        total = {t for what, _, t in told if what == stage}
+        done = [d for what, d, _ in reported if what == stage]
+        total = {t for what, _, t in reported if what == stage}
         assert done == sorted(done)
         assert len(total) == 1
         assert max(done) == total.pop()
@@ -185,8 +189,8 @@ def test_a_stretch_without_a_keypoint():
     keypoints[35] = np.nan
     idata = infer(replace(recording, keypoints=keypoints), body(), settings=KNOWN, seed=1, **SMALL)
     assert_close_to_truth(idata, truth, 0.5)
-    spread = pooled(idata)["angle"].std("sample").values[:, 1]
-    assert spread[22:26].mean() > 1.5 * spread[8:18].mean()
+    scatter = pooled(idata)["angle"].std("sample").values[:, 1]
+    assert scatter[22:26].mean() > 1.5 * scatter[8:18].mean()
     observed = idata["observed_data"]["position"].values
     assert np.array_equal(np.isnan(observed), np.isnan(keypoints))
 

@@ -1,6 +1,6 @@
 """What must not change when a question is put differently: metamorphic relations of `infer` and `infer_states`.
 
-A recording that is turned, scaled, shifted or renamed with its body has an answer that follows from the first one
+A recording that is rotated, scaled, shifted or renamed with its body has an answer that follows from the first one
 exactly, so no truth is needed (Chen, Cheung & Yiu 1998, "Metamorphic testing: a new approach for generating next test
 cases"). Laplace's method has no Monte Carlo error here: draws are compared one by one.
 """
@@ -117,7 +117,7 @@ def mode(recording, body, **options):
     return task.path[:, : body.num_joints].numpy()
 
 
-def turned(degrees, dimensions=2):
+def rotated(degrees, dimensions=2):
     """A rotation in the plane of x and y."""
     angle = np.deg2rad(degrees)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -137,7 +137,7 @@ def moved(recording, matrix=None, shift=0.0):
 
 @pytest.mark.parametrize("degrees", [37, 170])
 def test_gravity_and_recording_turned(plain, degrees):
-    matrix = turned(degrees)
+    matrix = rotated(degrees)
     other = infer(moved(SWING, matrix), arm(gravity=matrix @ ARM.gravity), **SMALL)
     assert_same(plain, other)
     turn = draws(other, "angle") - draws(plain, "angle") - np.deg2rad([degrees, 0])
@@ -146,9 +146,9 @@ def test_gravity_and_recording_turned(plain, degrees):
 
 @pytest.mark.long
 @pytest.mark.parametrize("family", ["student_t", "multivariate_t"])
-def test_turned_with_heavy_tails(family):
+def test_rotated_with_heavy_tails(family):
     """Student-t noise of each entry belongs to the axes; that of a whole keypoint does not."""
-    matrix = turned(37)
+    matrix = rotated(37)
     one = infer(SWING, ARM, family=family, **SMALL)
     other = infer(moved(SWING, matrix), arm(gravity=matrix @ ARM.gravity), family=family, **SMALL)
     if family == "multivariate_t":
@@ -357,12 +357,12 @@ def test_no_command_and_one_of_zero(plain):
 def test_a_constant_command_shifts_what_remains():
     """A random walk from anywhere plus a constant is one again: the whole torque stays, what remains is less by it."""
     command = np.array([2.0, -0.5])
-    told = replace(SWING, torques=np.tile(command, (ROWS, 1)), joint_names=JOINTS)
+    commanded = replace(SWING, torques=np.tile(command, (ROWS, 1)), joint_names=JOINTS)
     settings = {"torque.initial_scale": 1e5, "torque.scale": 5.0}
     options = {"torque": RandomWalk(), "settings": settings}
-    one, other = (infer(each, ARM, **options, **SMALL) for each in (SWING, told))
+    one, other = (infer(each, ARM, **options, **SMALL) for each in (SWING, commanded))
     assert_same(one, other, tolerance=1e-5)
-    left, whole = mode(told, ARM, **options), mode(SWING, ARM, **options)
+    left, whole = mode(commanded, ARM, **options), mode(SWING, ARM, **options)
     np.testing.assert_allclose(left + command, whole, atol=1e-5 * np.abs(whole).max())
 
 
@@ -437,14 +437,14 @@ def simulated(rows):
 @pytest.mark.parametrize(
     ("S", "T"),
     [
-        (torch.as_tensor(turned(37)), EYES[1]),
+        (torch.as_tensor(rotated(37)), EYES[1]),
         (torch.diag(torch.tensor([1e3, 0.2]).double()), EYES[1]),
         (EYES[0][[1, 0]], EYES[1]),
-        (EYES[0], torch.as_tensor(turned(37, 3))),
+        (EYES[0], torch.as_tensor(rotated(37, 3))),
         (EYES[0], torch.diag(torch.tensor([1e3, 2.0, 0.5]).double())),
         (EYES[0], EYES[1][[2, 0, 1]]),
     ],
-    ids=["states turned", "scaled", "permuted", "rows turned", "rows scaled", "rows permuted"],
+    ids=["states rotated", "scaled", "permuted", "rows rotated", "rows scaled", "rows permuted"],
 )
 def test_states_and_rows_of_a_linear_model(S, T):
     rows, y = 20, simulated(20)
@@ -499,7 +499,7 @@ mass = 1.0
 
 
 @pytest.mark.long
-def test_turned_about_an_axis_in_space(tmp_path):
+def test_rotated_about_an_axis_in_space(tmp_path):
     """About the first joint's own axis, z: its first angle goes with it."""
     rows = 20
     time, phase = STEP * np.arange(rows), STEP * np.arange(rows)[:, None]
@@ -513,7 +513,7 @@ def test_turned_about_an_axis_in_space(tmp_path):
     model = ArmModel(body(np.eye(3)), time)
     tips = model.dynamics.keypoints(torch.as_tensor(angle), model.body_parameters()).numpy()
     tips += NOISE * np.random.default_rng(0).normal(size=tips.shape)
-    recording, matrix = Recording(time, tips, TIPS), turned(37, 3)
+    recording, matrix = Recording(time, tips, TIPS), rotated(37, 3)
     known = {"torque.decay": 5.0}
     one = infer(recording, body(np.eye(3)), settings=known, **SMALL)
     other = infer(moved(recording, matrix), body(matrix), settings=known, **SMALL)

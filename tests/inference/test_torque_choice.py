@@ -1,6 +1,6 @@
-"""Of several torque processes the likeliest is taken: the one that made the torque, where that can be told.
+"""Of several torque processes the most probable is taken: the one that made the torque, where that can be identified.
 
-And what it brings: a robot's torque, smooth with a little on it that is not, is told more narrowly by the sum of both.
+And what it brings: a robot's torque, smooth with a little on it that is not, is known more narrowly by the sum.
 """
 
 import importlib
@@ -45,9 +45,11 @@ def rough():
 @pytest.mark.quick("rough-OrnsteinUhlenbeck")
 @pytest.mark.parametrize(("made", "name"), [("smooth", "Matern52"), ("rough", "OrnsteinUhlenbeck")])
 def test_the_process_that_made_the_torque(made, name, request):
-    told = []
+    reported = []
     recording = request.getfixturevalue(made)
-    task = prepare(recording, ARM, options=SIZES, seed=0, settings=KNOWN, torque=BOTH, report=lambda *n: told.append(n))
+    task = prepare(
+        recording, ARM, options=SIZES, seed=0, settings=KNOWN, torque=BOTH, report=lambda *n: reported.append(n)
+    )
     evidence = task.record["torque_evidence"]
     assert task.record["torque_process"] == type(task.problem.model.torque).__name__ == name
     assert max(evidence, key=evidence.get) == name
@@ -56,8 +58,8 @@ def test_the_process_that_made_the_torque(made, name, request):
     one = prepare(recording, ARM, options=SIZES, seed=0, settings=KNOWN, torque=alone)
     assert task.record["fitted"] == one.record["fitted"]
     assert "torque_evidence" not in one.record
-    assert all(done <= total for done, total in told)
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert all(done <= total for done, total in reported)
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
 
 
 def test_a_choice_that_was_kept_is_not_made_again(smooth, tmp_path, monkeypatch):
@@ -89,7 +91,7 @@ def test_a_comparison_holds_out_under_the_process_that_it_chose(rough, monkeypat
 
 
 @pytest.mark.long
-def test_a_robots_torque_is_told_more_narrowly_by_the_sum():
+def test_a_robots_torque_is_known_more_narrowly_by_the_sum():
     """It is nearer than the default in narrower bands; 90 % is .9 to what 130 dependent rows allow."""
     coarse = {**KNOWN, "emission.angle_scale": 2e-4}
     robot = {"scale": 4.0, "lengthscale": 0.8, "rough_scale": 0.1, "rough_decay": 20.0}

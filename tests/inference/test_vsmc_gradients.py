@@ -43,8 +43,8 @@ def test_one_particle_gives_the_evidence_lower_bound():
 
     elbo = Trace_ELBO(num_particles=2000, vectorize_particles=True, max_plate_nesting=0)
     other = -elbo.loss(model.sequence, trajectory, y)
-    spread = mine.std().item() * (1 / 20_000 + 1 / 2000) ** 0.5
-    assert mine.mean().item() == pytest.approx(other, abs=4 * spread)
+    scatter = mine.std().item() * (1 / 20_000 + 1 / 2000) ** 0.5
+    assert mine.mean().item() == pytest.approx(other, abs=4 * scatter)
 
 
 @pytest.mark.parametrize("gradient", GRADIENTS)
@@ -151,7 +151,7 @@ def test_score_estimates_the_gradient_of_the_bound():
             pyro.param("guide.offset").sub_(size * direction)
     # Richardson: the error of the two widths' combination is of order width⁴.
     slope = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * width)
-    exact, spread = slope.mean().item(), (slope.std() / len(slope) ** 0.5).item()
+    exact, scatter = slope.mean().item(), (slope.std() / len(slope) ** 0.5).item()
     found = {}
     for gradient in ("score", "dropped"):
         loss = VSMC_ELBO(2, 1000, ess_threshold=1.0, resampling="multinomial", gradient=gradient)
@@ -159,7 +159,7 @@ def test_score_estimates_the_gradient_of_the_bound():
         for _ in range(200):
             value = loss.log_evidence(model, guide, y).mean()
             draws.append(torch.autograd.grad(value, pyro.param("guide.offset"))[0][0].item())
-        found[gradient] = np.mean(draws), np.hypot(np.std(draws) / len(draws) ** 0.5, spread)
+        found[gradient] = np.mean(draws), np.hypot(np.std(draws) / len(draws) ** 0.5, scatter)
     mean, error = found["score"]
     assert abs(mean - exact) < 4 * error
     mean, error = found["dropped"]

@@ -107,11 +107,13 @@ def test_seeded_leaves_the_callers_numbers_alone():
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_any_number_of_processes(alone, pool, workers):
-    told = []
+    reported = []
     with pool(workers) as executor:
-        spread_out = infer(SWING, ARM, seed=4, executor=executor, progress=lambda *step: told.append(step), **SIZES)
-    assert bits(spread_out) == bits(alone)
-    rows = [(done, total) for done, total, what in told if what == "filter and smooth"]
+        distributed = infer(
+            SWING, ARM, seed=4, executor=executor, progress=lambda *step: reported.append(step), **SIZES
+        )
+    assert bits(distributed) == bits(alone)
+    rows = [(done, total) for done, total, what in reported if what == "filter and smooth"]
     assert rows == [(28 * k, 112) for k in range(1, 5)]  # four tasks, 14 rows forwards and backwards
 
 
@@ -152,11 +154,11 @@ def test_comparison(pool):
     sizes = {**SIZES, "num_particles": 200}
     alone = compare(SWING, ARM, methods, seed=4, **sizes)
     with pool(2) as executor:
-        spread_out = compare(SWING, ARM, methods, seed=4, executor=executor, **sizes)
+        distributed = compare(SWING, ARM, methods, seed=4, executor=executor, **sizes)
         with pytest.raises(InputError, match="isolated"):
             compare(SWING, ARM, methods, isolate=True, executor=executor, **sizes)
     measured = ["seconds", "memory", "ess_per_second"]
-    assert spread_out.table.drop(columns=measured).equals(alone.table.drop(columns=measured))
+    assert distributed.table.drop(columns=measured).equals(alone.table.drop(columns=measured))
     assert {"recording": "swing", "seed": 4}.items() <= alone.to_dict().items()
 
 
@@ -241,7 +243,7 @@ def test_a_killed_worker_of_a_cluster_changes_nothing(alone, cluster):
 
 
 @pytest.mark.long
-def test_a_cluster_that_goes_on_dying_is_an_error(cluster):
+def test_a_cluster_that_keeps_dying_is_an_error(cluster):
     with pytest.raises(LostWork, match="part 0 could not be had: KilledWorker"):
         distribute(parts.noise_or_death, [(0, os.devnull)], ["part 0"], executor=cluster.get_executor())
 
@@ -295,7 +297,7 @@ class Interrupted(Exception):
 
 @pytest.mark.quick("known body")
 @pytest.mark.parametrize("body", [ARM, UNCERTAIN], ids=["known body", "uncertain body"])
-def test_an_interrupted_run_goes_on(tmp_path, monkeypatch, body):
+def test_an_interrupted_run_continues(tmp_path, monkeypatch, body):
     pytest.importorskip("safetensors")
     settings = {name: value for name, value in KNOWN.items() if name != "torque.scale"}
     sizes = {**SIZES, "num_filters": 5, "settings": settings}
@@ -307,15 +309,15 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch, body):
 
     with pytest.raises(Interrupted):
         infer(SWING, body, seed=4, checkpoint=tmp_path / "run", progress=interrupt, **sizes)
-    task, told = sys.modules["invdyn.inference.task"], []
+    task, reported = sys.modules["invdyn.inference.task"], []
     with monkeypatch.context() as patch:
         patch.setattr(task, "fit_over_gaps", lambda *_, **__: pytest.fail("the fit was kept"))
         resumed = infer(
-            SWING, body, seed=4, checkpoint=tmp_path / "run", progress=lambda *step: told.append(step), **sizes
+            SWING, body, seed=4, checkpoint=tmp_path / "run", progress=lambda *step: reported.append(step), **sizes
         )
     assert bits(resumed) == bits(whole)
     assert resumed.attrs["settings"] == whole.attrs["settings"]
-    assert told[0][0] > told[0][1] / 3  # it did not begin at the beginning
+    assert reported[0][0] > reported[0][1] / 3  # it did not begin at the beginning
     with pytest.raises(InputError, match="seed 4 there, 5 here"):
         infer(SWING, body, seed=5, checkpoint=tmp_path / "run", **sizes)
 

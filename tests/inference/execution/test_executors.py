@@ -18,21 +18,21 @@ def wait_for(path):
 
 @pytest.mark.long
 def test_interrupted_while_a_worker_writes_its_result(tmp_path):
-    told = tmp_path / "half"
+    marker = tmp_path / "half"
     with suppress(KeyboardInterrupt), process_pool(2) as pool:
-        tasks = [pool.submit(parts.half_a_result, told)]
+        tasks = [pool.submit(parts.half_a_result, marker)]
         tasks += [pool.submit(parts.without_end, os.devnull) for _ in range(9)]
-        wait_for(told)
+        wait_for(marker)
         raise KeyboardInterrupt
     assert all(task.done() for task in tasks)
 
 
 @pytest.mark.long
 def test_what_was_cancelled_before_is_no_error(tmp_path):
-    told = tmp_path / "begun"
+    marker = tmp_path / "begun"
     with suppress(KeyboardInterrupt), process_pool(2) as pool:
-        tasks = [pool.submit(parts.without_end, told) for _ in range(99)]
-        wait_for(told)
+        tasks = [pool.submit(parts.without_end, marker) for _ in range(99)]
+        wait_for(marker)
         for task in tasks:
             task.cancel()
         raise KeyboardInterrupt

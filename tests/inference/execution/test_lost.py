@@ -142,17 +142,17 @@ def test_a_cluster_that_is_gone_is_one_line(cluster, tmp_path, monkeypatch, kill
     with dask_cluster(address) as executor:
         assert has_workers(executor)
         monkeypatch.setattr(executors, "DESERTED", 0.5)
-        told = tmp_path / "begun"
+        marker = tmp_path / "begun"
 
         def kill_once_begun():
-            wait_until(told.exists)
+            wait_until(marker.exists)
             for process in processes[killed]:
                 os.kill(process.pid, signal.SIGKILL)
 
         killer = Thread(target=kill_once_begun, daemon=True)
         killer.start()
         with pytest.raises(LostWork, match="part 0 could not be had") as lost:
-            distribute(parts.without_end, [(told,)], ["part 0"], executor=executor)
+            distribute(parts.without_end, [(marker,)], ["part 0"], executor=executor)
         killer.join(60)
         assert not killer.is_alive()
         assert "\n" not in str(lost.value)

@@ -131,12 +131,12 @@ def test_the_bridge_survives_dynamics_that_are_nearly_deterministic():
     assert distinct(lines, middle) < 5
     assert distinct(plain, middle) < 10
     assert distinct(bridged, middle) > 40
-    # and they are the right ones: spread as wide as RTS says, and not far off it
+    # and they are the right ones: scatter as wide as RTS says, and not far off it
     means, covs = oracles.rts(chain, y)
     sd = np.sqrt(covs[:, 0, 0])
     inner = slice(5, steps - 10)
-    spread = bridged[..., 0].std(1).mean(0).numpy() / sd
-    assert 0.75 < spread[inner].mean() < 1.25
+    scatter = bridged[..., 0].std(1).mean(0).numpy() / sd
+    assert 0.75 < scatter[inner].mean() < 1.25
     pooled = bridged[..., 0].flatten(0, 1).numpy()
     assert np.sqrt(np.mean(((pooled.mean(0) - means[:, 0]) / sd)[inner] ** 2)) < 0.6
 

@@ -126,6 +126,6 @@ def test_moves_leave_the_smoothing_distribution_of_a_bent_model_alone(block):
     moved = stretch[0, :, :-1]
     for statistic in (lambda x: x, torch.sin, torch.square):
         exact = (probability[:, None, None] * statistic(states)).sum(0)
-        spread = (probability[:, None, None] * (statistic(states) - exact) ** 2).sum(0).sqrt()
-        z = (statistic(moved).mean(0) - exact) / (spread * (1 / draws + 1 / effective) ** 0.5)
+        scatter = (probability[:, None, None] * (statistic(states) - exact) ** 2).sum(0).sqrt()
+        z = (statistic(moved).mean(0) - exact) / (scatter * (1 / draws + 1 / effective) ** 0.5)
         assert z.abs().max() < 4.5

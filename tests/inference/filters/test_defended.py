@@ -79,7 +79,7 @@ def test_look_alikes_have_the_moments():
         matched(Positive(5).initial())
 
 
-def test_both_ways_in_weigh_alike():
+def test_both_ways_in_weigh_the_same():
     """Density and draws of Pyro's conditional are those of the proposal."""
     model, y = recorded(Multiplicative)
     guide = Defended(model, y, gauss_newton(model, y))

@@ -78,11 +78,11 @@ def test_the_refit_of_wrong_factors_finds_the_right_ones():
     blurred = model.replace(emission_root=1.5 * model.parameters["emission_root"])
     wrong = gauss_newton(blurred, y, start=right.path)
     torch.manual_seed(0)
-    spreads = [pilot(model, y)(s).log_evidence.std().item() for s in (right, wrong)]
+    scatters = [pilot(model, y)(s).log_evidence.std().item() for s in (right, wrong)]
     adapted, _ = iterate(model, y, [wrong], pilot(model, y), iterations=3)
-    spread = pilot(model, y)(adapted).log_evidence.std().item()
-    assert spreads[0] < 1e-8
-    assert spread < 0.05 * spreads[1]
+    scatter = pilot(model, y)(adapted).log_evidence.std().item()
+    assert scatters[0] < 1e-8
+    assert scatter < 0.05 * scatters[1]
     assert adapted.factors.log_evidence == pytest.approx(kalman(chain, y.numpy())[0], abs=0.02)
 
 

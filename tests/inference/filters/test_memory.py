@@ -1,4 +1,4 @@
-"""The memory that filters would take is told before it is asked for."""
+"""The memory that filters would take is checked before it is allocated."""
 
 import pytest
 
@@ -26,10 +26,10 @@ def test_what_is_asked_for_is_what_states_weights_and_trajectories_take():
 
 @pytest.mark.parametrize("count", [2**63, 10**30, 10**400])
 @pytest.mark.parametrize("which", ["num_filters", "num_particles", "num_draws"])
-def test_a_count_of_any_number_of_digits_is_told(count, which):
-    with pytest.raises(InputError, match=r"far too many .* of memory or more") as told:
+def test_a_count_of_any_number_of_digits_is_reported(count, which):
+    with pytest.raises(InputError, match=r"far too many .* of memory or more") as reported:
         check_memory(100, 2, SMCOptions(**{which: count}), ("smc",))
-    assert len(str(told.value)) < 200
+    assert len(str(reported.value)) < 200
 
 
 def test_only_methods_with_particles_count_them():

@@ -34,7 +34,7 @@ def test_a_lucky_filter_carries_all():
     assert outer.log_evidence == pytest.approx(200 - math.log(4))
 
 
-def test_one_filter_has_no_spread_to_speak_of():
+def test_one_filter_has_no_scatter():
     outer = outer_weights(torch.tensor([3.0]))
     assert outer.log_evidence == pytest.approx(3.0)
     assert math.isnan(outer.filter_sd)

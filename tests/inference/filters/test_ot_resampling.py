@@ -12,10 +12,10 @@ from invdyn.inference.filters.ot_resampling import transport
 from invdyn.inference.variational.vsmc import VSMC_ELBO
 
 
-def weighted(filters=3, size=40, dim=2, spread=1.5, dtype=torch.float64, seed=0):
+def weighted(filters=3, size=40, dim=2, scatter=1.5, dtype=torch.float64, seed=0):
     torch.manual_seed(seed)
     x = 5.0 + torch.randn(filters, size, dim, dtype=dtype) * torch.tensor([1.0, 100.0], dtype=dtype)[:dim]
-    return x, torch.log_softmax(spread * torch.randn(filters, size, dtype=torch.float64), -1)
+    return x, torch.log_softmax(scatter * torch.randn(filters, size, dtype=torch.float64), -1)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -53,7 +53,7 @@ def test_one_particle_with_all_the_weight_draws_all_to_itself():
 
 
 def test_its_gradient_is_near_the_slope():
-    x, log_weights = weighted(filters=1, size=12, spread=0.7)
+    x, log_weights = weighted(filters=1, size=12, scatter=0.7)
     direction = torch.randn_like(x)
     target = torch.randn_like(x)
 

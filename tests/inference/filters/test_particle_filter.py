@@ -236,9 +236,9 @@ def test_ancestors_lead_back_along_the_particles_own_past(chain, y):
 
 
 def test_progress_counts_the_rows(chain, y):
-    model, told = chain.model(STEPS), []
-    ParticleFilter(model, Bootstrap(model), 5).run(torch.as_tensor(y), progress=lambda *n: told.append(n))
-    assert told == [(t + 1, STEPS) for t in range(STEPS)]
+    model, reported = chain.model(STEPS), []
+    ParticleFilter(model, Bootstrap(model), 5).run(torch.as_tensor(y), progress=lambda *n: reported.append(n))
+    assert reported == [(t + 1, STEPS) for t in range(STEPS)]
 
 
 @pytest.mark.parametrize("way", ["run", "steps"])

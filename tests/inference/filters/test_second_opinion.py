@@ -82,7 +82,7 @@ def test_filters_that_differ_widely_are_not_believed_for_having_missed_the_tail(
     assert len(usable) > 0.8 * len(found) or sd > 1
 
 
-def test_filters_that_lost_their_observations_do_not_spoil_the_others():
+def test_filters_without_their_observations_do_not_spoil_the_others():
     torch.manual_seed(0)
     values = 0.3 * torch.randn(64).double()
     values[:5] -= 20

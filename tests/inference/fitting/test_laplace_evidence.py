@@ -44,7 +44,7 @@ def test_of_linear_models_it_is_the_kalman_filters():
     np.testing.assert_allclose(found.log_sd["transition_root"], sd[0])
 
 
-def test_what_it_cannot_fit_is_told():
+def test_what_it_cannot_fit_is_reported():
     chain = oracles.random_chain(seed=6)
     y = torch.as_tensor(chain.simulate(STEPS, seed=6)[1])
     with pytest.raises(ValueError, match="expected parameters to fit, got none"):

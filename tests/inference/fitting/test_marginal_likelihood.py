@@ -77,8 +77,8 @@ def test_it_finds_the_kalman_filters_optimum(chain, y):
         emission_root=0.4 * model.parameters["emission_root"],
     )
     wide = [Free(f.name, tied=True, sd=50.0) for f in FREE]
-    told = []
-    found = fit(start, torch.as_tensor(y), wide, progress=lambda *n: told.append(n))
+    reported = []
+    found = fit(start, torch.as_tensor(y), wide, progress=lambda *n: reported.append(n))
 
     def value(phi):
         scaled = replace(chain, Q=chain.Q * math.exp(2 * phi[0]), R=chain.R * math.exp(2 * phi[1]))
@@ -97,8 +97,8 @@ def test_it_finds_the_kalman_filters_optimum(chain, y):
     assert (np.abs(np.array(reached) - best.x) < 0.5 * sd).all()
     for name, expected in zip(("transition_root", "emission_root"), sd, strict=True):
         assert found.log_sd[name] == pytest.approx([expected], rel=0.25)
-    assert told
-    assert all(done <= total for done, total in told)
+    assert reported
+    assert all(done <= total for done, total in reported)
     path, _ = oracles.rts(replace(chain, Q=chain.Q * math.exp(2 * reached[0]), R=chain.R * math.exp(2 * reached[1])), y)
     assert found.path.numpy() == pytest.approx(path, abs=1e-6)
 
@@ -188,7 +188,7 @@ def test_unknown_parameters_are_refused(chain, y):
         fit(chain.model(STEPS), torch.as_tensor(y), [Free("torque.scale")])
 
 
-def test_a_parameter_without_dimensions_is_told(chain, y):
+def test_a_parameter_without_dimensions_is_reported(chain, y):
     """Many values of it at once would not broadcast against rows."""
     model = chain.model(len(y))
     model.parameters["strange"] = torch.tensor(1.0)

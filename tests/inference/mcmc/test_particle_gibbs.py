@@ -71,10 +71,10 @@ def test_a_sweep_leaves_the_posterior_as_it_is(kind, threshold):
     misled = Controlled(model, y, gauss_newton(model, 0.5 * y.roll(2, 0)))
     guide = {"bootstrap": Bootstrap(model), "controlled": Controlled(model, y, smoother), "misled": misled}[kind]
     torch.manual_seed(1)
-    held = GaussianChain.of(smoother).sample((20_000,))
-    paths = sweep(guide, y, held, 3, threshold=threshold)
+    reference = GaussianChain.of(smoother).sample((20_000,))
+    paths = sweep(guide, y, reference, 3, threshold=threshold)
     assert_exact(paths, means, covariances, 20_000)
-    assert (paths != held).any(-1).double().mean() > 0.1
+    assert (paths != reference).any(-1).double().mean() > 0.1
 
 
 def test_ancestor_sampling_gives_the_path_a_new_past():
@@ -90,16 +90,16 @@ def test_an_exact_guide_gives_an_independent_draw():
     model, y, means, covariances = small()
     guide = Controlled(model, y)
     torch.manual_seed(0)
-    held = torch.full((4000, STEPS, 2), 10.0, dtype=torch.float64)
-    paths = sweep(guide, y, held, 40)
-    # The held path is one of 40 equally good ones, were it any good: nothing else of it is left.
-    fresh = (paths != held).any(-1).all(-1)
+    reference = torch.full((4000, STEPS, 2), 10.0, dtype=torch.float64)
+    paths = sweep(guide, y, reference, 40)
+    # The reference path is one of 40 equally good ones, were it any good: nothing else of it is left.
+    fresh = (paths != reference).any(-1).all(-1)
     assert fresh.double().mean() > 0.95
     assert_exact(paths[fresh], means, covariances, int(fresh.sum()))
 
 
 def test_no_ancestor_is_preferred_by_its_number():
-    """With two particles, dropping one ancestor rather than another shows: the held one has the last number."""
+    """With two particles, dropping one ancestor rather than another shows: the reference one has the last number."""
     model, y, means, covariances = small()
     smoother = gauss_newton(model, y)
     misled = Controlled(model, y, gauss_newton(model, 0.5 * y.roll(2, 0)))
@@ -114,10 +114,10 @@ def test_blocks_move_and_leave_the_posterior_as_it_is():
     model, y, means, covariances = small()
     smoother = gauss_newton(model, y)
     torch.manual_seed(2)
-    held = GaussianChain.of(smoother).sample((20_000,))
-    paths = move_blocks(Bridge(model, y, smoother, 4), held, 1)
+    reference = GaussianChain.of(smoother).sample((20_000,))
+    paths = move_blocks(Bridge(model, y, smoother, 4), reference, 1)
     assert_exact(paths, means, covariances, 20_000)
-    moved = (paths != held).any(-1).double().mean(0)
+    moved = (paths != reference).any(-1).double().mean(0)
     assert (moved[[0, 1, -1]] == 0).all()
     assert (moved[2:-2] == 1).all()  # on a linear model every move is accepted
 
@@ -190,11 +190,11 @@ def test_chains_are_the_same_wherever_they_run_and_are_kept(tmp_path):
     options = SMCOptions(num_filters=5, num_particles=6, num_draws=2, filters_per_task=2)
     alone = particle_gibbs(given, options=options, seed=1, warmup=2)
     with process_pool(1) as pool:
-        spread = particle_gibbs(
+        scatter = particle_gibbs(
             given, options=options, seed=1, warmup=2, executor=pool, checkpoint=Checkpoint(tmp_path)
         )
     again = particle_gibbs(given, options=options, seed=1, warmup=2, checkpoint=Checkpoint(tmp_path))
-    for other in (spread, again):
+    for other in (scatter, again):
         assert (other["posterior"]["torque"].values == alone["posterior"]["torque"].values).all()
     assert len(list(tmp_path.rglob("part-*/manifest.json"))) == 3
 

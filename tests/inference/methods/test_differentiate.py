@@ -93,15 +93,15 @@ def test_encoders_keep_the_turns_they_count():
     assert idata["posterior"]["angle"].values[0, 0, 10:-10, 1] == pytest.approx(-7.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("cutoff", "lost"), [(5.0, False), (11.0, True)])
-def test_long_gaps_are_not_bridged(cutoff, lost):
+@pytest.mark.parametrize(("cutoff", "missing"), [(5.0, False), (11.0, True)])
+def test_long_gaps_are_not_bridged(cutoff, missing):
     """Six frames missing make a gap of 70 ms: half a period of 7.1 Hz."""
     recording, _, torque = record()
     keypoints = recording.keypoints.copy()
     keypoints[80:86, 1] = np.nan
     found = torques(replace(recording, keypoints=keypoints), cutoff=cutoff)
-    assert np.isnan(found[80:86]).all() == lost
-    assert np.isnan(found).sum() == (12 if lost else 0)
+    assert np.isnan(found[80:86]).all() == missing
+    assert np.isnan(found).sum() == (12 if missing else 0)
     rest = np.r_[20:75, 91:180]
     assert rms((found - torque)[rest]) < 0.1 * rms(torque)
 

@@ -40,7 +40,7 @@ def test_an_uncertain_body_is_integrated_out():
     assert plain["constant_data"]["mass"].values == pytest.approx([2.0])
 
 
-def test_draws_are_as_many_as_asked_for():
+def test_draws_are_as_many_as_requested():
     arm = Body("arm", [Link("l", "shoulder", "elbow", length=0.5, mass=2.0)])
     idata = infer(record(), arm, method="laplace", num_filters=3, num_draws=5, settings=KNOWN)
     assert idata["posterior"]["torque"].shape == (3, 5, 15, 1)

@@ -108,7 +108,7 @@ def nuts_of_last_state(model, y):
 
 
 @pytest.mark.parametrize("kind", [Counts, HeavyTailed, Multiplicative, Switches, Volatility])
-def test_nuts_samples_whatever_has_a_gradient(kind):
+def test_nuts_samples_any_model_with_a_gradient(kind):
     """Dynamics that are not Gaussian, too, or whose noise depends on the state; the last state is that of a grid."""
     model = kind(6)
     y = model.simulate(seed=2)[1]

@@ -105,7 +105,7 @@ def test_rows_and_start():
     }
 
 
-def test_what_cannot_be_learned_is_told():
+def test_what_cannot_be_learned_is_reported():
     film = filmed(views_of(ring(2)))
     with pytest.raises(InputError, match="of cameras offset, pose, turn may be learned, got 'lens'"):
         arm_problem(film, rod(), learn_cameras=("lens",))
@@ -128,7 +128,7 @@ def test_a_clock_that_is_20_ms_ahead_is_found():
 
 
 @pytest.mark.long
-def test_cameras_that_are_turned_are_integrated_out():
+def test_cameras_that_are_rotated_are_integrated_out():
     """A calibration half a degree off: without turns, what is off for good is taken for what lasts."""
     views = views_of(ring(3))
     by = np.random.default_rng(3).normal(0, 0.01, (3, 3))
@@ -136,20 +136,20 @@ def test_cameras_that_are_turned_are_integrated_out():
         replace(camera, rotation=about @ camera.rotation, translation=about @ camera.translation)
         for camera, about in zip(views.calibration, Rotation.from_rotvec(by).as_matrix(), strict=True)
     )
-    told = filmed(replace(views, calibration=Calibration(off, metric=True)))
+    given = filmed(replace(views, calibration=Calibration(off, metric=True)))
     found = {}
     for learn in ((), ("turn",)):
-        problem = arm_problem(told, rod(), parameters=KNOWN, learn_cameras=learn, substeps=1)
+        problem = arm_problem(given, rod(), parameters=KNOWN, learn_cameras=learn, substeps=1)
         found[learn] = gauss_newton(problem.model, problem.observations)
     assert found[("turn",)].log_evidence > found[()].log_evidence + 10
     names = {free.name: free for free in free_parameters(problem, tuple(KNOWN))}
     assert names["camera.turn_scale"].tied
     own = slice(-4 - 9, -4)  # before two angles and their velocities
-    turn = -found[("turn",)].path[0, own].reshape(3, 3).numpy()  # the cameras as told are turned back
+    turn = -found[("turn",)].path[0, own].reshape(3, 3).numpy()  # the cameras as given are rotated back
     sd = found[("turn",)].covariance()[0].diagonal()[own].sqrt().reshape(3, 3).numpy()
     assert (np.abs(turn - by) < 3 * sd).all()
     assert (sd < 0.0105).all()
-    assert sd.min() < 0.005  # something was told
+    assert sd.min() < 0.005  # something was learned
 
 
 def test_a_length_is_learned_from_two_cameras():
@@ -190,8 +190,8 @@ def test_filters_agree_with_the_gaussian_smoother():
     assert by_filters.attrs["outer_ess"] > 2  # of 4
     assert "unseen" not in smoothed.attrs  # two cameras tell all of a rod
     torques = [each["posterior"]["torque"].mean(("chain", "draw")) for each in (by_filters, smoothed)]
-    spread = smoothed["posterior"]["torque"].std(("chain", "draw"))
-    assert float(np.abs(torques[0] - torques[1]).mean()) < float(spread.mean())  # 8 draws of each
+    scatter = smoothed["posterior"]["torque"].std(("chain", "draw"))
+    assert float(np.abs(torques[0] - torques[1]).mean()) < float(scatter.mean())  # 8 draws of each
 
 
 def test_parameters_with_a_unit_are_shifted_and_others_scaled():

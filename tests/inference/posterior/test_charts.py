@@ -1,4 +1,4 @@
-"""Charts chosen from the data: a hanging arm whose yaw axis is vertical, and what must not be turned."""
+"""Charts chosen from the data: a hanging arm whose yaw axis is vertical, and what must not be rotated."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def ball_and_hinge():
 
 
 @pytest.mark.parametrize("tree", [paper_arm(), ball_and_hinge()], ids=lambda tree: tree.name)
-def test_a_hanging_arm_is_turned_away_from_the_pole(tree):
+def test_a_hanging_arm_is_rotated_away_from_the_pole(tree):
     recording = hanging(tree)
     problem = arm_problem(recording, tree, parameters={"emission.keypoint_scale": NOISE}, substeps=1)
     assert problem.notes[0].startswith("shoulder: its motion comes to a pitch of")
@@ -54,20 +54,20 @@ def test_a_hanging_arm_is_turned_away_from_the_pole(tree):
     assert "shoulder: its motion comes to a pitch of" in summary_text(idata)
 
 
-def test_coordinates_that_somebody_else_speaks_in_stay_and_the_pole_is_told():
+def test_coordinates_that_others_use_stay_and_the_pole_is_reported():
     tree = paper_arm()
     known = {"initial.angle": [0.0, np.pi / 2, 0.0, 0.0], "emission.keypoint_scale": NOISE}
     known |= {"torque.scale": 1.0, "torque.decay": 1.0}
     sizes = {"num_filters": 4, "num_draws": 4, "substeps": 1}
     with pytest.warns(UserWarning, match="shoulder: its motion passes a pitch of 80°") as caught:
         idata = infer(hanging(tree), tree, method="laplace", settings=known, **sizes)
-    (told,) = (str(each.message) for each in caught)
-    assert told in summary_text(idata).splitlines()
+    (reported,) = (str(each.message) for each in caught)
+    assert reported in summary_text(idata).splitlines()
     # 4 ° off the vertical at least, so that no rotation was put in between
     assert idata["constant_data"]["rotation"].values == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))
 
 
-def test_a_joint_that_turns_everywhere_is_turned_once_and_its_pole_is_told():
+def test_a_joint_that_turns_everywhere_is_rotated_once_and_its_pole_is_reported():
     """Directions round three great circles: each axis is some direction's, within 35°, and no chart is good."""
     around = np.linspace(-np.pi, np.pi, 100)
     level = np.stack([around, 0 * around], -1)
@@ -76,10 +76,10 @@ def test_a_joint_that_turns_everywhere_is_turned_once_and_its_pole_is_told():
     roll = np.zeros_like(yaw)
     path = np.stack([yaw, pitch, roll, roll], -1)
     tree = ball_and_hinge()
-    turned, said = chosen(tree, lambda _: path)  # what would be read off the turned one is as steep
+    rotated, said = chosen(tree, lambda _: path)  # what would be read off the rotated one is as steep
     assert len(said) == 1
-    assert poles(turned, path) == [line for line in poles(turned, path) if line.startswith("shoulder: its motion")]
-    assert len(poles(turned, path)) == 1
+    assert poles(rotated, path) == [line for line in poles(rotated, path) if line.startswith("shoulder: its motion")]
+    assert len(poles(rotated, path)) == 1
 
 
 def test_a_motion_far_from_the_pole_keeps_the_files_frame():
@@ -119,11 +119,11 @@ def test_a_turned_ball_is_the_same_ball():
     """The link's frame in the parent's is what it was, at other angles; so are its energies."""
     tree = ball_and_hinge()
     q = np.array([[0.4, 1.4, -0.3, 0.5]])
-    turned, _ = chosen(tree, lambda each: q if each is tree else None)
-    frame = np.array(turned.links[0].rotation)
+    rotated, _ = chosen(tree, lambda each: q if each is tree else None)
+    frame = np.array(rotated.links[0].rotation)
     other = np.concatenate([chart_angles(frame.T @ of_chart("zyx", q[0, :3]), "zyx"), q[0, 3:]])
     one, two = (
         dynamics_for(body).keypoints(torch.as_tensor(pose), body.parameters())
-        for body, pose in ((tree, q[0]), (turned, other))
+        for body, pose in ((tree, q[0]), (rotated, other))
     )
     assert torch.allclose(one, two, atol=1e-12)

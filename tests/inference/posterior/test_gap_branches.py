@@ -1,4 +1,4 @@
-"""Whole turns over gaps: the likeliest way is taken, and what is in doubt is told."""
+"""Whole turns over gaps: the most probable way is taken, and what is in doubt is reported."""
 
 import json
 from dataclasses import replace
@@ -43,7 +43,7 @@ def slips(model, path, truth):
 
 @pytest.mark.quick("8")
 @pytest.mark.parametrize("seed", [4, 6, 8])
-def test_the_likeliest_way_over_a_gap_is_the_true_one(seed):
+def test_the_most_probable_way_over_a_gap_is_the_true_one(seed):
     """One path through the gap is a turn off, 6 nats and more behind; another start finds the right one."""
     arm, recording, truth = recorded(seed)
     problem = arm_problem(recording, arm)
@@ -58,7 +58,7 @@ def test_the_likeliest_way_over_a_gap_is_the_true_one(seed):
 
 
 @pytest.mark.long
-def test_the_fit_begins_and_ends_with_the_likeliest_way():
+def test_the_fit_begins_and_ends_with_the_most_probable_way():
     arm, recording, truth = recorded(27)
     task = prepare(recording, arm, options=SMCOptions(), seed=0)
     assert not slips(task.problem.model, task.path, truth).any()
@@ -66,7 +66,7 @@ def test_the_fit_begins_and_ends_with_the_likeliest_way():
 
 
 @pytest.mark.long
-def test_a_way_that_is_nearly_as_likely_is_told():
+def test_a_way_that_is_nearly_as_probable_is_reported():
     arm, recording, _ = recorded(12)
     problem = arm_problem(recording, arm)
     _, (doubt,) = most_probable_turns(problem.model, problem.observations)
@@ -79,14 +79,14 @@ def test_a_way_that_is_nearly_as_likely_is_told():
 
 @pytest.mark.long
 def test_what_is_in_doubt_is_in_the_summary_and_outlives_a_checkpoint(monkeypatch, tmp_path):
-    """The likeliest of other ways is told whatever its probability, if one asks for that."""
+    """The most probable of other ways is reported at any probability, if requested."""
     monkeypatch.setattr(gap_branches, "REPORTED", 0.0)
     arm, recording, _ = recorded(12)
     options = {"method": "laplace", "num_filters": 2, "num_draws": 20, "checkpoint": tmp_path / "run"}
     first, again = (infer(recording, arm, **options) for _ in range(2))
-    (told,) = json.loads(again.attrs["settings"])["in_doubt"]
-    assert "fore 1 turn" in told
-    assert told in summary_text(first)
+    (reported,) = json.loads(again.attrs["settings"])["in_doubt"]
+    assert "fore 1 turn" in reported
+    assert reported in summary_text(first)
 
 
 def test_gaps_are_those_of_links_that_are_not_seen_and_not_counted():

@@ -49,7 +49,7 @@ def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
         assert chosen == {2.0: 1, 12.0: 2, 18.0: 3, 30.0: 4}[speed]
 
 
-def test_points_far_off_at_a_low_confidence_start_as_lost():
+def test_points_far_off_at_a_low_confidence_start_as_outliers():
     """δ = log(ratio of misfits) / (difference of drops); noise that a diagnosis may name starts at 0."""
     rng = np.random.default_rng(6)
     off = rng.normal(0, 0.01, (200, 2, 2))

@@ -8,7 +8,7 @@ import pytest
 from invdyn.inference.posterior.jitter import ORDERS, jitter, point_jitter
 
 
-def test_noise_is_estimated_beside_a_fast_motion():
+def test_noise_is_estimated_next_to_a_fast_motion():
     """A swing at 4 Hz, 60 frames/s: its third differences are above those of the noise, its fifth ones far below."""
     rng = np.random.default_rng(0)
     swing = 0.05 * np.sin(2 * np.pi * 4.0 * np.arange(600) / 60)
@@ -17,7 +17,7 @@ def test_noise_is_estimated_beside_a_fast_motion():
     assert found == pytest.approx([0.0005, 0.0005], rel=0.15)
 
 
-def test_noise_is_estimated_beside_a_motion_that_differences_of_fifth_order_still_show():
+def test_noise_is_estimated_next_to_a_motion_that_differences_of_fifth_order_still_show():
     """At 9 Hz they have five times the noise, the tenth a ninth; and of noise alone higher orders tell no less."""
     rng = np.random.default_rng(2)
     swing = 0.5 * np.sin(2 * np.pi * 9.0 * np.arange(400) / 60 + 1.0)
@@ -50,8 +50,8 @@ def test_noise_of_a_point_does_not_depend_on_the_axes(dimensions):
     matrix = np.linalg.qr(rng.standard_normal((dimensions, dimensions)))[0]
     noise = 0.01 * rng.standard_normal((400, 2, dimensions))
     noise[:, 1, 0] *= 10
-    found, turned = point_jitter(noise), point_jitter(noise @ matrix.T)
-    np.testing.assert_allclose(turned, found, rtol=1e-9)
+    found, rotated = point_jitter(noise), point_jitter(noise @ matrix.T)
+    np.testing.assert_allclose(rotated, found, rtol=1e-9)
     assert found == pytest.approx([0.01, 0.1], rel=0.15)
     columns = [jitter(each.reshape(400, -1)).reshape(2, dimensions).max(1) for each in (noise, noise @ matrix.T)]
     assert not np.allclose(*columns, rtol=0.02)

@@ -42,7 +42,7 @@ def test_crps_of_a_gaussian_is_the_analytic_one(truth):
     mean, sd, count = 0.5, 1.7, 20_000
     draws = np.random.default_rng(0).normal(mean, sd, count)
     ours = crps(draws, np.full(count, 1 / count), np.array(truth))
-    # |x − y| has a standard deviation of at most that of x; the spread term's is smaller still
+    # |x − y| has a standard deviation of at most that of x; the scatter term's is smaller still
     assert ours == pytest.approx(gaussian_crps(truth, mean, sd), abs=4 * sd / math.sqrt(count))
 
 

@@ -178,7 +178,7 @@ def test_other_emissions_and_torques():
         assert smoother.log_joint > model.log_joint(truth, y)
 
 
-def test_student_t_shrugs_off_stray_detections():
+def test_student_t_shrugs_off_outlying_detections():
     model = arm(80, 0.005, observation=Observation(Keypoints([0, 1]), family="student_t"))
     truth, y = model.simulate()
     clean = gauss_newton(model, y).path
@@ -220,7 +220,7 @@ def test_other_noise_than_gaussian_is_refused():
     assert isinstance(oracles.random_chain().model(3), LinearGaussian)
 
 
-def test_parameter_sets_that_are_alike_may_share_the_slopes_of_one():
+def test_parameter_sets_that_are_similar_may_share_the_slopes_of_one():
     """What is found then is a tenth of a nat below the mode at most, though it may not be all the way there."""
     model = arm(60, 0.005)
     y = model.simulate()[1]

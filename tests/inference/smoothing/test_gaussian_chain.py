@@ -20,7 +20,7 @@ def smoother_of(seed=0):
 
 
 def arm_smoother():
-    """Bent enough that the linearisation over the posterior has an error of its own (spread)."""
+    """Bent enough that the linearisation over the posterior has an error of its own (scatter)."""
     body = Body("arm", [Link("l", "shoulder", "elbow", length=1.0, mass=1.0)])
     values = {"emission.keypoint_scale": 0.3, "noise.angle": 0.1, "noise.velocity": 0.3}
     model = ArmModel(body, 0.05 * np.arange(T), Observation(Keypoints([0])), parameters=values)
@@ -77,5 +77,5 @@ def test_the_algebra_of_the_chain(make):
     assert whole.expand((4,)).sample().shape == (4, T, D)
 
 
-def test_the_arms_smoother_has_a_spread_to_test():
+def test_the_arms_smoother_has_an_error_to_test():
     assert np.abs(arm_smoother().factors.error_root).max() > 1e-3

@@ -37,7 +37,7 @@ def seen():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_gauss_newton_goes_on_after_a_step_that_is_not_finite(seen, monkeypatch, value):
+def test_gauss_newton_continues_after_a_step_that_is_not_finite(seen, monkeypatch, value):
     expected, steps, whole = gauss_newton(*seen), [], SMOOTHER.mean_step
 
     def stray(*arguments):

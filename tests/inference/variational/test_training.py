@@ -61,7 +61,7 @@ def test_training_moves(tmp_path):
     assert max(value.abs().max() for value in after.values()) > 0.1
 
 
-def test_a_stop_between_checkpoints_goes_on_from_the_last_one(tmp_path):
+def test_a_stop_between_checkpoints_continues_from_the_last_one(tmp_path):
     trained(13, tmp_path)
     assert Checkpoint(tmp_path, {"seed": 0}).load()[1]["step"] == 13  # the last step is always kept
     assert_same(trained(40, tmp_path), trained(40))
@@ -85,7 +85,7 @@ from invdyn.models import LinearGaussian
 
 
 @pytest.mark.long
-def test_killed_training_goes_on_to_the_same_answer(tmp_path):
+def test_killed_training_continues_to_the_same_answer(tmp_path):
     program = PROGRAM + inspect.getsource(trained) + "trained(40, sys.argv[1], killed_at=18)"
     killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
     assert killed.returncode == -signal.SIGKILL

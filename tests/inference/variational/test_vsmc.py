@@ -106,7 +106,7 @@ def test_evidence_stays_unbiased_with_a_guide_far_from_the_best(kind, resampling
 
 
 @pytest.mark.parametrize("gradient", GRADIENTS)
-def test_loss_is_the_filters_evidence_whatever_the_gradient(gradient):
+def test_loss_is_the_filters_evidence_for_any_gradient(gradient):
     _, model, y = small(steps=8)
     loss = VSMC_ELBO(400, 200, resampling="multinomial", gradient=gradient)
     plain = bound(model, Bootstrap(model), y, 400, 200)
