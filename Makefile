@@ -31,7 +31,7 @@ demo: $(VENV)/.use
 test: $(VENV)/.development
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-# The longer ones, marked "long": sweeps of malformed files, metamorphic relations, kills. `.ci/run` runs them too.
+# The longer ones: marked "long", or cases that a mark "quick" does not name. `.ci/run` runs them too.
 test-all: $(VENV)/.development
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
 

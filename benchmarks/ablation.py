@@ -67,11 +67,11 @@ class Watch:
         """The rule, counted."""
 
         @wraps(rule)
-        def told(*given: Any, **options: Any) -> Any:
+        def reported(*given: Any, **options: Any) -> Any:
             if name in KINDS and given[-1].kind != name:
                 return rule(*given, **options)
             pool = next((each for each in given if isinstance(each, HypothesisPool)), None)
-            before, begun = pool and best(pool), time.process_time()
+            before, started = pool and best(pool), time.process_time()
             self.tried[name] += 1
             self.stack.append(0.0)
             found = None
@@ -79,7 +79,7 @@ class Watch:
                 found = rule(*given, **options)
                 return found
             finally:
-                took = time.process_time() - begun
+                took = time.process_time() - started
                 self.seconds[name] += took - self.stack.pop()
                 if self.stack:
                     self.stack[-1] += took
@@ -91,7 +91,7 @@ class Watch:
                         self.better[name] += 1
                         self.last, self.found_by = best(pool), name
 
-        return told
+        return reported
 
     def seen(self, pool: HypothesisPool, name: str) -> None:
         """What is new in the pool is this rule's find, or that of a rule within it that made it."""
@@ -131,7 +131,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
         rule = getattr(room, called)
         kept.setdefault(called, (room, rule))
         setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
-    begun = time.process_time()
+    started = time.process_time()
     try:
         found = _searched(bound, left_out, 1)
     finally:
@@ -144,7 +144,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
         "score": float(found.score(first)),
         "evidence": first.log_evidence,
         "complete": first.complete,
-        "seconds": time.process_time() - begun,
+        "seconds": time.process_time() - started,
         "tried": watch.tried,
         "better": watch.better,
         "spent": watch.seconds,

@@ -86,8 +86,8 @@ def durations(name: str, folder: Path) -> None:
     answers = json.loads((folder / "answers.json").read_text())["answers"]
     taken: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for case, answer in answers.items():
-        if (told := folder / "diagnoses" / case / "took.json").exists():
-            seconds = json.loads(told.read_text())["seconds"]
+        if (reported := folder / "diagnoses" / case / "took.json").exists():
+            seconds = json.loads(reported.read_text())["seconds"]
             taken[answer["kind"]].append(seconds)
             taken["all"].append(seconds)
     for kind, seconds in taken.items():

@@ -20,7 +20,7 @@ from kept import kept
 from invdyn.blindcheck.cases import _wild
 from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.injected_effects import drawn, world_with
-from invdyn.blindcheck.motion import frame_times, play, random_body, random_plan
+from invdyn.blindcheck.motion import frame_times, random_body, random_plan, simulated
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import World
 from invdyn.diagnosis.check.check import check
@@ -40,7 +40,7 @@ def log(rng: np.random.Generator, joints: int, effect: bool) -> tuple[Recording,
     while True:
         body = random_body(rng, joints, False)
         plan = random_plan(rng, body, False)
-        real = plain = play(World(body), World(body), plan)
+        real = plain = simulated(World(body), World(body), plan)
         if _wild(plain):
             continue
         if effect:
@@ -50,7 +50,7 @@ def log(rng: np.random.Generator, joints: int, effect: bool) -> tuple[Recording,
             world = world_with(body, present, about)
             if not world.possible:
                 continue
-            real = play(world, World(body), plan)
+            real = simulated(world, World(body), plan)
             if _wild(real):
                 continue
         time = frame_times(plan)
@@ -103,25 +103,25 @@ def main() -> None:
     options.add_argument("--only", default="")
     options.add_argument("--results", type=Path, default=None, help="Where results are kept, a line a log.")
     given = options.parse_args()
-    begun, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*KINDS, "none"]
+    started, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*KINDS, "none"]
     print(
         "| what is wrong | named first | or as fitting as well | s a log | what else is said |\n|---|---|---|---|---|"
     )
     for kind in wanted:
-        told: Counter = Counter()
+        reported: Counter = Counter()
         spent = []
         for number in range(given.clean if kind == "none" else given.logs):
-            told_of = kept(
+            reported_of = kept(
                 given.results, f"{given.seed} {kind} {number}", lambda k=kind, n=number: one(given.seed, k, n)
             )
-            spent.append(told_of["seconds"])
-            told[told_of["answer"]] += 1
-        instead = "; ".join(f"{name} ×{n}" for name, n in told.items() if name != "right")
-        total = sum(told.values())
-        beside = sum(n for name, n in told.items() if name.endswith(", or that"))
-        cells = kind, f"{told['right']} of {total}", beside or "", f"{np.mean(spent):.1f}", instead
+            spent.append(reported_of["seconds"])
+            reported[reported_of["answer"]] += 1
+        instead = "; ".join(f"{name} ×{n}" for name, n in reported.items() if name != "right")
+        total = sum(reported.values())
+        beside = sum(n for name, n in reported.items() if name.endswith(", or that"))
+        cells = kind, f"{reported['right']} of {total}", beside or "", f"{np.mean(spent):.1f}", instead
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
-    print(f"{clock.perf_counter() - begun:.0f} s in all")
+    print(f"{clock.perf_counter() - started:.0f} s in all")
 
 
 def one(seed: int, kind: str, number: int) -> dict:

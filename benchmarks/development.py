@@ -70,9 +70,9 @@ def run(folder: Path, out: Path, pools: Path | None, only: Sequence[str]) -> Non
             continue
         if pools is not None:
             keep(pools / f"{case.name}.pickle")
-        begun = time.process_time()
+        started = time.process_time()
         diagnose_case(case, there)
-        (there / "seconds.json").write_text(json.dumps(time.process_time() - begun))
+        (there / "seconds.json").write_text(json.dumps(time.process_time() - started))
 
 
 def verdicts(folder: Path, out: Path) -> dict[str, Verdict]:

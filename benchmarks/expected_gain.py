@@ -36,16 +36,16 @@ def measured(case: Path) -> list[dict]:
     bound, left_out = filed(case)
     rows = []
     with diverging():
-        path, stray = data_path(bound)
+        path, outlier = data_path(bound)
         bound = finely_stepped(bound.shaped(path), path)
-        found = _initial_pool(bound, path, stray, considered(bound, left_out), 1)
+        found = _initial_pool(bound, path, outlier, considered(bound, left_out), 1)
         base = found.pool[""]
         for _ in range(2):
             best = screened_with(found, base)
             nothing = next(s.log_evidence for s in best if s.effect is None)
             row: dict = {"base": base.key, "complete": base.complete, "cands": []}
             for each in added(best)[:MOST]:
-                begun = time.process_time()
+                started = time.process_time()
                 causes = [cause for cause in _refined(bound, base, each, {}) if cause is not None]
                 for cause in causes:
                     found.add(cause)
@@ -57,7 +57,7 @@ def measured(case: Path) -> list[dict]:
                         "r": None if top is None else top - base.log_evidence,
                         "done": any(cause.complete for cause in causes),
                         "plaus": [bool(cause.plausible) for cause in causes],
-                        "cpu": time.process_time() - begun,
+                        "cpu": time.process_time() - started,
                     }
                 )
             rows.append(row)
@@ -86,8 +86,8 @@ def table(rows: list[dict]) -> str:
             between = (
                 f"under {high:g}" if np.isinf(low) else f"{low:g} and more" if np.isinf(high) else f"{low:g}–{high:g}"
             )
-            told = [f"{value:.1f}" for value in (*off, *times)] + [""] * (3 - len(times))
-            lines.append((what, between, str(len(here)), *told))
+            reported = [f"{value:.1f}" for value in (*off, *times)] + [""] * (3 - len(times))
+            lines.append((what, between, str(len(here)), *reported))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -87,7 +87,7 @@ def cell(name: str, method: str, replicates: int, cache: Path) -> dict:
     for number in range(replicates):
         if number > 1 and seconds[1] > COSTLY:
             break
-        begun = time.process_time()
+        started = time.process_time()
         try:
             runs.append(run(model, rows, method, 100 + number))
         except (ModelError, InputError) as error:
@@ -95,7 +95,7 @@ def cell(name: str, method: str, replicates: int, cache: Path) -> dict:
         except Exception as error:  # a fault that the table has to show
             why = f"{type(error).__name__}: {error}".splitlines()[0]
             return {"model": name, "method": method, "failure": "failed", "why": why}
-        seconds.append(time.process_time() - begun)
+        seconds.append(time.process_time() - started)
     found = {"model": name, "method": method, "runs": len(runs), "cpu": round(float(np.median(seconds)), 2)}
     return found | figures(exact, runs)
 

@@ -140,24 +140,24 @@ def line(name: str, what: str, exact: float, values: np.ndarray, seconds: float,
 
 
 def timed(run: Callable[[int], float]) -> tuple[np.ndarray, float]:
-    begun = time.process_time()
+    started = time.process_time()
     values = np.array([run(seed) for seed in range(1, FILTERS + 1)])
-    return values, time.process_time() - begun
+    return values, time.process_time() - started
 
 
 def ours(name: str, look_ahead: bool) -> tuple[str, np.ndarray, float, float]:
     model, _, rows = recording(name)
-    begun, guide, smoother, size = time.process_time(), "bootstrap", None, N
+    started, guide, smoother, size = time.process_time(), "bootstrap", None, N
     if look_ahead:
         chosen = best_guide(model, rows, SMCOptions(FILTERS, 100), seed=1)
         guide, smoother, size = chosen.name, chosen.smoother, N
-    before = time.process_time() - begun
+    before = time.process_time() - started
     torch.manual_seed(2)
     options = SMCOptions(FILTERS, size)
     run_filters(model, rows, SMCOptions(2, 10), guide=guide, smoother=smoother, keep=0)
-    begun = time.process_time()
+    started = time.process_time()
     values = run_filters(model, rows, options, guide=guide, smoother=smoother, keep=0).log_evidence.numpy()
-    return f"invdyn, {guide}", values, time.process_time() - begun, before
+    return f"invdyn, {guide}", values, time.process_time() - started, before
 
 
 def main() -> None:

@@ -102,8 +102,10 @@ def stamp(command: str) -> str:
 def machine() -> str:
     """The processor's name, the number of cores, and how busy they were."""
     information = Path("/proc/cpuinfo")
-    told = re.search(r"^model name\s*:\s*(.+)$", information.read_text() if information.exists() else "", re.MULTILINE)
-    name = told[1] if told else platform.processor() or platform.machine()
+    reported = re.search(
+        r"^model name\s*:\s*(.+)$", information.read_text() if information.exists() else "", re.MULTILINE
+    )
+    name = reported[1] if reported else platform.processor() or platform.machine()
     busy = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     return f"{name}, {os.cpu_count()} cores{busy}"
 

@@ -53,7 +53,7 @@ def wanted(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return frequencies, 0.1 * rng.normal(size=(7, 5)), rng.uniform(0, 2 * np.pi, (7, 5))
 
 
-def played(tree: Tree, seed: int, seconds: float) -> Truth:
+def simulated_case(tree: Tree, seed: int, seconds: float) -> Truth:
     """What MuJoCo does with the robot: angles, velocities and torques at the encoders' times."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -88,7 +88,7 @@ def played(tree: Tree, seed: int, seconds: float) -> Truth:
 
 
 def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorqueProcess, method: str) -> dict[str, float]:
-    truth = played(tree, seed, seconds)
+    truth = simulated_case(tree, seed, seconds)
     measured = truth.angle + noise * np.random.default_rng(seed + 1000).normal(size=truth.angle.shape)
     recording = Recording(
         truth.time, np.empty((len(truth.time), 0, 3)), (), angles=measured, joint_names=tree.joint_names
@@ -137,7 +137,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", category=UserWarning)
-    method, seconds, begun = arguments.method, arguments.seconds, False
+    method, seconds, started = arguments.method, arguments.seconds, False
     print(f"{seconds:g} s of encoders at {RATE} Hz, {method}, {arguments.seeds} seeds\n")
     for process, noise in product(arguments.torque, arguments.noise):
         rows = []
@@ -145,9 +145,9 @@ def main() -> None:
             case = f"{process} {method} {seconds:g} {noise:g} {seed}"
             make = partial(score, panda(), seed, noise, seconds, TORQUE_PROCESSES[process](), method)
             rows.append(kept(arguments.results, case, make))
-        if not begun:
+        if not started:
             print(f"| torque process | {' | '.join(rows[0])} |\n|{'---|' * (len(rows[0]) + 1)}")
-            begun = True
+            started = True
         means = np.mean([list(row.values()) for row in rows], 0)
         print(f"| {process} | {' | '.join(f'{value:.3g}' for value in means)} |", flush=True)
 

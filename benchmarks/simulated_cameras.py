@@ -148,28 +148,28 @@ def run(case: str, seed: int, whole: bool) -> dict[str, float]:
     """Shares of the truth within 90 % intervals, errors and stated sds, the clock's offset and sd (ms), CPU s."""
     moments, torque, angle, points = motion(seed)
     rows = np.arange(FRAMES) * FINE
-    begun = time.process_time()
+    started = time.process_time()
     problem = problem_of(case, seen(case, seed, moments, points))
     model, start = problem.model, None
-    told: dict[str, float] = {}
+    reported: dict[str, float] = {}
     if free := free_of(problem, whole):
         found = fit(model, problem.observations, free)
         model, start = found.model, found.path
         if case == "clock":
-            told["offset"] = 1e3 * float(model.parameters["camera.offset"][3])
-            told["offset sd"] = 50 * float(found.log_sd["camera.offset"][0])
+            reported["offset"] = 1e3 * float(model.parameters["camera.offset"][3])
+            reported["offset sd"] = 50 * float(found.log_sd["camera.offset"][0])
     smoother = gaussian_smoother(model, problem.observations, start)
     torch.manual_seed(0)
     paths = GaussianChain.of(smoother).sample((DRAWS,))
-    told["s"] = time.process_time() - begun
+    reported["s"] = time.process_time() - started
     q = model.split(paths)[1]
     own = {"torque": paths[..., :4], "angle": q, "point": model.dynamics.keypoints(q, model.body_parameters())}
     for (name, draws), true in zip(own.items(), (torque, angle, points), strict=True):
         low, high = np.quantile(draws.numpy(), [0.05, 0.95], axis=0)
-        told[name] = float(((low <= true[rows]) & (true[rows] <= high)).mean())
-        told[f"{name} error"] = float(np.sqrt(((draws.numpy().mean(0) - true[rows]) ** 2).mean()))
-        told[f"{name} sd"] = float(np.sqrt(draws.numpy().var(0).mean()))
-    return told
+        reported[name] = float(((low <= true[rows]) & (true[rows] <= high)).mean())
+        reported[f"{name} error"] = float(np.sqrt(((draws.numpy().mean(0) - true[rows]) ** 2).mean()))
+        reported[f"{name} sd"] = float(np.sqrt(draws.numpy().var(0).mean()))
+    return reported
 
 
 def main() -> None:
@@ -187,17 +187,17 @@ def main() -> None:
     print("|---" * 9 + "|")
     for case in given.cases:
         fitted = ", fit" if given.fit else ""
-        told = [
+        reported = [
             kept(given.results, f"{case}{fitted}, {k}", partial(run, case, k, given.fit)) for k in range(given.seeds)
         ]
-        mean = {name: np.mean([each[name] for each in told]) for name in told[0]}
-        spread = np.std([each["torque"] for each in told]) / np.sqrt(len(told))
+        mean = {name: np.mean([each[name] for each in reported]) for name in reported[0]}
+        spread = np.std([each["torque"] for each in reported]) / np.sqrt(len(reported))
         clock = ""
         if case == "clock":
-            values = [each["offset"] for each in told]
+            values = [each["offset"] for each in reported]
             clock = f"{mean['offset']:.1f} ± {np.std(values):.1f}, stated {mean['offset sd']:.1f}"
         print(
-            f"| {case} | {len(told)} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | "
+            f"| {case} | {len(reported)} | {mean['torque']:.3f} ± {spread:.3f} | {mean['angle']:.3f} | "
             f"{mean['point']:.3f} | "
             f"{mean['torque error']:.2f}, {mean['torque sd']:.2f} | "
             f"{1e3 * mean['point error']:.1f}, {1e3 * mean['point sd']:.1f} | {clock} | {mean['s']:.1f} |",

@@ -60,31 +60,31 @@ def turned_problem(filed: Problem, noise: float) -> Problem:
     return replace(bound, truth=filed.truth)
 
 
-def in_axes_of(filed: Tree, turned: Tree, draws: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def in_axes_of(filed: Tree, rotated: Tree, draws: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Angles, velocities and torques (..., K) of a tree of two sticks, told in the axes of another of the same links.
 
     Directions give angles. Sites move alike, J q̇ = J' q̇', so that velocities map by M = J'⁺ J, and torques, whose work
     is the same, by its transposed inverse.
     """
-    if turned == filed:
+    if rotated == filed:
         return draws
-    ours, theirs = dynamics_for(turned), dynamics_for(filed)
+    ours, theirs = dynamics_for(rotated), dynamics_for(filed)
     q, qd, torque = (torch.as_tensor(draws[name]) for name in QUANTITIES)
-    tips = ours.keypoints(q, turned.parameters()).numpy()
-    told, placed = np.empty_like(draws["angle"]), np.eye(3)
+    tips = ours.keypoints(q, rotated.parameters()).numpy()
+    reported, placed = np.empty_like(draws["angle"]), np.eye(3)
     for place, link in enumerate(filed.links):
         ahead = tips[..., place, :] - (tips[..., place - 1, :] if place else 0.0)
         placed = placed @ np.array(link.rotation)
         x, y, z = np.moveaxis((ahead[..., None, :] @ placed)[..., 0, :] / link.length, -1, 0)
-        told[..., 2 * place], told[..., 2 * place + 1] = np.arctan2(y, x), -np.arcsin(z.clip(-1, 1))
-        turns = Rotation.from_euler("ZY", told[..., 2 * place : 2 * place + 2].reshape(-1, 2)).as_matrix()
-        placed = placed @ turns.reshape(*told.shape[:-1], 3, 3)
-    before = ours.jacobian(q, turned.parameters()).flatten(-3, -2)
-    after = theirs.jacobian(torch.as_tensor(told), filed.parameters()).flatten(-3, -2)
+        reported[..., 2 * place], reported[..., 2 * place + 1] = np.arctan2(y, x), -np.arcsin(z.clip(-1, 1))
+        turns = Rotation.from_euler("ZY", reported[..., 2 * place : 2 * place + 2].reshape(-1, 2)).as_matrix()
+        placed = placed @ turns.reshape(*reported.shape[:-1], 3, 3)
+    before = ours.jacobian(q, rotated.parameters()).flatten(-3, -2)
+    after = theirs.jacobian(torch.as_tensor(reported), filed.parameters()).flatten(-3, -2)
     there = torch.linalg.pinv(after) @ before
     back = torch.linalg.pinv(before) @ after
     moved = ((there @ qd[..., None])[..., 0], (back.mT @ torque[..., None])[..., 0])
-    return dict(zip(QUANTITIES, (told, *(each.numpy() for each in moved)), strict=True))
+    return dict(zip(QUANTITIES, (reported, *(each.numpy() for each in moved)), strict=True))
 
 
 def score(problem: Problem, filed: Tree | None, seed: int) -> dict[str, float]:
@@ -121,9 +121,9 @@ def run(kind: str, noise: float, seed: int) -> dict[str, float]:
         filed = spatial_problem(noise, seed)
         if kind == "filed":
             return score(filed, None, seed)
-        turned = turned_problem(filed, noise)
-        joints = {"joints turned": float(len(turned.notes))}
-        return joints | score(turned, filed.model.body, seed)
+        rotated = turned_problem(filed, noise)
+        joints = {"joints turned": float(len(rotated.notes))}
+        return joints | score(rotated, filed.model.body, seed)
     except Diverged:
         return {}
 
@@ -144,10 +144,10 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    turned = [("turned", noise) for noise in arguments.turned]
+    rotated = [("turned", noise) for noise in arguments.turned]
     filed = [("filed", noise) for noise in arguments.noise]
     planar = [("planar", 0.05**0.5)] if arguments.planar else []
-    for kind, noise in [*filed[:1], *turned, *filed[1:], *planar]:
+    for kind, noise in [*filed[:1], *rotated, *filed[1:], *planar]:
         rows = {}
         for seed in range(arguments.seeds):
             rows[seed] = kept(arguments.results, f"{kind} {noise:g} {seed}", lambda: run(kind, noise, seed))  # noqa: B023

@@ -29,7 +29,7 @@ import mujoco
 import numpy as np
 from kept import kept
 from mujoco import sysid
-from write_back import JOINTS, Played, case, motors, played
+from write_back import JOINTS, SimulatedCase, case, motors, simulated_case
 
 from invdyn.diagnosis.write_back.rollout import commands
 
@@ -72,7 +72,7 @@ def the_one(effect: str, file: Any) -> Any:
     return sysid.Parameter(f"gear.{joint}", 1.0, 0.2, 2.0, modifier=turn)
 
 
-def truth(name: str, made: Played) -> float:
+def truth(name: str, made: SimulatedCase) -> float:
     """What a parameter of that name truly is."""
     model, file = (mujoco.MjModel.from_xml_path(str(path)) for path in (made.true, made.file))
     if name == "payload":
@@ -84,12 +84,12 @@ def truth(name: str, made: Played) -> float:
     return float(np.ravel(getattr(model, f"dof_{attribute}")[dof])[0])
 
 
-def fitted(made: Played, effect: str, told: bool, folder: Path) -> dict:
+def fitted(made: SimulatedCase, effect: str, known: bool, folder: Path) -> dict:
     """What `mujoco.sysid` makes of the first log: each number's error and interval, what is left, and seconds."""
-    begun = clock.process_time()
+    started = clock.process_time()
     spec = mujoco.MjSpec.from_file(str(made.file))
     parameters = sysid.ParameterDict()
-    for each in [the_one(effect, spec)] if told else [of_joint(j, a, spec) for j in JOINTS for a in LARGEST]:
+    for each in [the_one(effect, spec)] if known else [of_joint(j, a, spec) for j in JOINTS for a in LARGEST]:
         parameters.add(each)
     parameters.move_off_bounds()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -116,9 +116,9 @@ def fitted(made: Played, effect: str, told: bool, folder: Path) -> dict:
         best, result = sysid.optimize(parameters, residual, optimizer="mujoco", verbose=False)
     after, _, _ = residual(result.x, best)
     _, widths = sysid.calculate_intervals(after, result.jac, alpha=0.1)
-    seconds = clock.process_time() - begun
+    seconds = clock.process_time() - started
     copy = mujoco.MjSpec.from_file(str(made.file))
-    if told:
+    if known:
         the_one(effect, copy)
     sysid.apply_param_modifiers_spec(best, copy)
     copy.compile()
@@ -130,7 +130,7 @@ def fitted(made: Played, effect: str, told: bool, folder: Path) -> dict:
     return {"numbers": numbers, "left": made.left(folder / "sysid.xml"), "cpu_s": seconds}
 
 
-def ours(found: dict, made: Played, effect: str) -> dict:
+def ours(found: dict, made: SimulatedCase, effect: str) -> dict:
     """The same of a result of :mod:`write_back`."""
     numbers = {}
     words = {value: key for key, value in QUANTITY.items()}
@@ -187,12 +187,12 @@ def main() -> None:
         if effect.partition(".")[0] not in KINDS:
             continue
         with tempfile.TemporaryDirectory() as name:
-            made = played(rng, robot, effect, Path(name))
+            made = simulated_case(rng, robot, effect, Path(name))
             mine = kept(given.ours, f"{given.seed} {number}", lambda n=number, e=effect: again(given.seed, n, e))
             found["invdyn, told nothing"].append((effect, ours(mine, made, effect)))
-            for label, told in (("sysid, told which number", True), ("sysid, six numbers free", False)):
+            for label, known in (("sysid, told which number", True), ("sysid, six numbers free", False)):
                 key = f"{given.seed} {number} {label}"
-                result = kept(given.results, key, lambda m=made, e=effect, t=told, f=name: fitted(m, e, t, Path(f)))
+                result = kept(given.results, key, lambda m=made, e=effect, t=known, f=name: fitted(m, e, t, Path(f)))
                 found[label].append((effect, result))
                 print(
                     f"{number} {effect} {label}: left {100 * result['left']:.2f} %, {result['cpu_s']:.1f} s", flush=True

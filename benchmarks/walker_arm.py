@@ -85,8 +85,8 @@ def film(every: int) -> Views:
     folder = Path(os.environ["INVDYN_DATA"]).expanduser() / "multiview_walker"
     calibration = read_calibration(folder / "Calib.qca.txt")
     pixels, confidence = (each.swapaxes(1, 2) for each in tracks(folder, calibration.names))
-    whole, turned = sides_kept(Views(calibration, np.arange(len(pixels)) / RATE, pixels, confidence, NAMES))
-    print(f"Rows in which left and right were exchanged, a camera: {', '.join(map(str, turned.sum(0)))}.\n")
+    whole, rotated = sides_kept(Views(calibration, np.arange(len(pixels)) / RATE, pixels, confidence, NAMES))
+    print(f"Rows in which left and right were exchanged, a camera: {', '.join(map(str, rotated.sum(0)))}.\n")
     right = whole.select([f"R_{name}" for name in OWN]).at(slice(None, None, every))
     return Views(calibration, right.time, right.pixels, right.confidence, OWN)
 
@@ -132,8 +132,8 @@ def covered(expected: torch.Tensor, white: torch.Tensor, lasting: torch.Tensor, 
     # Of each draw, camera and keypoint one size: which one of those used it is like, nobody knows.
     which = torch.randint(white.shape[1], (count, cameras * points))
     sizes = [each.gather(1, which).reshape(count, 1, cameras, points, 1) for each in (white, lasting)]
-    strays = torch.distributions.StudentT(df, 0.0, 1.0).sample(expected.shape)
-    drawn = expected + sizes[0] * strays + sizes[1] * torch.randn_like(expected)
+    outliers = torch.distributions.StudentT(df, 0.0, 1.0).sample(expected.shape)
+    drawn = expected + sizes[0] * outliers + sizes[1] * torch.randn_like(expected)
     low, high = (torch.quantile(drawn, q, dim=0).numpy() for q in (0.05, 0.95))
     known = np.isfinite(views.pixels)
     return float(((low <= views.pixels) & (views.pixels <= high))[known].mean())
@@ -141,7 +141,7 @@ def covered(expected: torch.Tensor, white: torch.Tensor, lasting: torch.Tensor, 
 
 def answer(way: str, used: Views, rest: Views | None) -> dict:
     """Fit, draw, and what is told of the draws: means and deviations of lengths, angles and torques; errors, px."""
-    begun = time.process_time()
+    started = time.process_time()
     problem, free = problem_of(way, used)
     found = fit_at_mode(problem.model, problem.observations, free, max_iterations=MOST)
     parameters = LogParameters(problem.model, free)
@@ -163,7 +163,7 @@ def answer(way: str, used: Views, rest: Views | None) -> dict:
             turns += list(memory[:, 0, model.observation.pixels.independent_states :].unflatten(-1, (-1, 3)))
             white += [p["emission.pixel_scale"].flatten()] * EACH
             lasting += [p["emission.bias_scale"].flatten()] * EACH
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - started
     path, seen = torch.cat(paths), torch.cat(points)
     if way == "points":
         sigma = triangulate(used.calibration, *used.flat()).scale
@@ -174,18 +174,18 @@ def answer(way: str, used: Views, rest: Views | None) -> dict:
         "angles": problem.model.split(path)[1][..., 3:],
         "torques": path[..., 3:7],
     }
-    told: dict = {name: [each.mean(0).tolist(), each.std(0).tolist()] for name, each in whole.items()}
-    told["noise"] = [float(torch.stack(each).median()) for each in (white, lasting)]
-    told["converged"], told["s"] = found.converged, seconds
-    told["turns"] = torch.stack(turns).mean(0).tolist()
-    told["used"] = missed(used.calibration, seen, torch.stack(turns), used)
+    reported: dict = {name: [each.mean(0).tolist(), each.std(0).tolist()] for name, each in whole.items()}
+    reported["noise"] = [float(torch.stack(each).median()) for each in (white, lasting)]
+    reported["converged"], reported["s"] = found.converged, seconds
+    reported["turns"] = torch.stack(turns).mean(0).tolist()
+    reported["used"] = missed(used.calibration, seen, torch.stack(turns), used)
     if rest is not None:
         other = TURN * torch.randn(len(seen), len(rest.calibration), 3, dtype=seen.dtype)
-        told["left out"] = missed(rest.calibration, seen, torch.zeros_like(other), rest)
+        reported["left out"] = missed(rest.calibration, seen, torch.zeros_like(other), rest)
         df = float(problem.model.parameters["emission.df"])
         expected = reprojected(rest.calibration, seen, other)
-        told["covered"] = covered(expected, torch.stack(white), torch.stack(lasting), df, rest)
-    return told
+        reported["covered"] = covered(expected, torch.stack(white), torch.stack(lasting), df, rest)
+    return reported
 
 
 def apart(one: dict, other: dict, name: str) -> np.ndarray:
@@ -213,20 +213,20 @@ def main() -> None:
         rest = seen_by(others, views) if others else None
         for way in WAYS:
             case = f"{subset}, {way}, {given.every}"
-            told = kept(given.results, case, partial(answer, way, seen_by(cameras, views), rest))
-            found[subset, way] = told
-            lengths = [f"{mean:.3f} ± {sd:.3f}" for mean, sd in zip(*told["lengths"], strict=True)]
-            out = ["", ""] if rest is None else [f"{told['left out']:.1f}", f"{told['covered']:.2f}"]
-            torques = " ".join(f"{sd:.2f}" for sd in np.mean(told["torques"][1], axis=0))
-            cells = [subset, way, *lengths, f"{told['used']:.1f}", *out, torques]
-            cells += ["{:.1f}, {:.1f}".format(*told["noise"]), f"{told['s']:.0f}"]
+            reported = kept(given.results, case, partial(answer, way, seen_by(cameras, views), rest))
+            found[subset, way] = reported
+            lengths = [f"{mean:.3f} ± {sd:.3f}" for mean, sd in zip(*reported["lengths"], strict=True)]
+            out = ["", ""] if rest is None else [f"{reported['left out']:.1f}", f"{reported['covered']:.2f}"]
+            torques = " ".join(f"{sd:.2f}" for sd in np.mean(reported["torques"][1], axis=0))
+            cells = [subset, way, *lengths, f"{reported['used']:.1f}", *out, torques]
+            cells += ["{:.1f}, {:.1f}".format(*reported["noise"]), f"{reported['s']:.0f}"]
             print(f"| {' | '.join(cells)} |", flush=True)
     print(f"\nApart from all four cameras, in both standard deviations, and the share below {WITHIN}:\n")
     print("| cameras | from | upper arm | forearm | angles | torques |\n|---|---|---|---|---|---|")
-    for (subset, way), told in found.items():
+    for (subset, way), reported in found.items():
         if subset != ALL and (ALL, way) in found:
-            z = [f"{each:.1f}" for each in apart(told, found[ALL, way], "lengths")]
-            z += [f"{(apart(told, found[ALL, way], name) < WITHIN).mean():.2f}" for name in ("angles", "torques")]
+            z = [f"{each:.1f}" for each in apart(reported, found[ALL, way], "lengths")]
+            z += [f"{(apart(reported, found[ALL, way], name) < WITHIN).mean():.2f}" for name in ("angles", "torques")]
             print(f"| {subset} | {way} | {' | '.join(z)} |")
 
 

@@ -148,7 +148,7 @@ def log(robot: Robot, true: str, body: Body, rng: np.random.Generator, name: str
 
 
 @dataclass(frozen=True)
-class Played:
+class SimulatedCase:
     """A robot's file and the true one, its body, and two logs of the true one."""
 
     file: Path
@@ -167,7 +167,7 @@ class Played:
         return max(corrected - floor, 0.0) / max(nominal - floor, 1e-12)
 
 
-def played(rng: np.random.Generator, robot: Robot, effect: str, folder: Path) -> Played:
+def simulated_case(rng: np.random.Generator, robot: Robot, effect: str, folder: Path) -> SimulatedCase:
     """Both files in a folder, and logs."""
     file, true = folder / "robot.xml", folder / "true.xml"
     root = ET.fromstring(robot.text)
@@ -176,26 +176,26 @@ def played(rng: np.random.Generator, robot: Robot, effect: str, folder: Path) ->
     true.write_text(ET.tostring(root, "unicode"))
     body = Body.load(file)
     first, second = (log(robot, true.read_text(), body, rng, name) for name in ("log", "held_out"))
-    return Played(file, true, body, first, second)
+    return SimulatedCase(file, true, body, first, second)
 
 
-def case(rng: np.random.Generator, robot: Robot, effect: str, workers: int = 1, told: bool = False) -> dict:
+def case(rng: np.random.Generator, robot: Robot, effect: str, workers: int = 1, known: bool = False) -> dict:
     """The effect; the answer; the share of the excess error that is left, with the corrected file; and seconds."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "corrected.xml"
-        made = played(rng, robot, effect, Path(folder))
+        made = simulated_case(rng, robot, effect, Path(folder))
         file, body, first, second = made.file, made.body, made.first, made.second
-        begun = clock.process_time()
-        struck = [name for name in EFFECTS if name != effect.partition(".")[0]] if told else []
-        found = diagnose(first, body, workers=workers, without=struck, most=1 if told else 4)
-        seconds = clock.process_time() - begun
+        started = clock.process_time()
+        struck = [name for name in EFFECTS if name != effect.partition(".")[0]] if known else []
+        found = diagnose(first, body, workers=workers, without=struck, most=1 if known else 4)
+        seconds = clock.process_time() - started
         cause = best(found)
         answer = sorted(f.key for f in cause.effects) if cause else []
-        told_of = {"effect": effect, "answer": answer, "cpu_s": seconds, "changes": []}
+        row = {"effect": effect, "answer": answer, "cpu_s": seconds, "changes": []}
         written = write_back(found, file, body, copy, second, True)
         if written.written is None or written.written.nothing:
-            return told_of | {"left": 1.0}
-        return told_of | {"left": made.left(copy), "changes": list(written.written.changes)}
+            return row | {"left": 1.0}
+        return row | {"left": made.left(copy), "changes": list(written.written.changes)}
 
 
 def summary(results: Sequence[dict]) -> str:

@@ -1,4 +1,4 @@
-"""The camera, in numpy: when it looked, where the markers sat, what the lens made of them, what the tracker lost.
+"""The camera, in numpy: when it looked, where the markers sat, what the lens made of them, what the tracker missed.
 
 A frame stamped t shows, through the effects that are present and in this order,
 
@@ -9,7 +9,7 @@ A frame stamped t shows, through the effects that are present and in this order,
     optics   (x, y) → (x cos ψ, y) D / (D + x sin ψ)        yaw, from the distance D
              p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin, yaw and lens also about
                                                             any centre
-    tracker  p + σ (1 + slope |v|) noise;  two labels exchanged;  a stray detection near p
+    tracker  p + σ (1 + slope |v|) noise;  two labels exchanged;  an outlier near p
 
 The rate of the clock is no matter of the picture: it scales every time in the table, `cases` sees to it.
 
@@ -62,8 +62,8 @@ def film(
     if "outliers" in present:
         _, parameters = present["outliers"]
         rng = stream("outliers")
-        stray = rng.random(points.shape[:2]) < parameters["rate"]
-        points += stray[..., None] * parameters["scale"] * rng.standard_normal(points.shape)
+        outlying = rng.random(points.shape[:2]) < parameters["rate"]
+        points += outlying[..., None] * parameters["scale"] * rng.standard_normal(points.shape)
     return points
 
 
@@ -105,8 +105,8 @@ def optics(points: np.ndarray, present: Mapping) -> np.ndarray:
         angle, distance = (present["camera_yaw"][1][key] for key in ("angle", "distance"))
         centre = _centre(present["camera_yaw"][1])
         x, y = np.moveaxis(points - centre, -1, 0)
-        turned = np.stack([x * np.cos(angle), y], axis=-1)
-        points = centre + turned * (distance / (distance + x * np.sin(angle)))[..., None]
+        rotated = np.stack([x * np.cos(angle), y], axis=-1)
+        points = centre + rotated * (distance / (distance + x * np.sin(angle)))[..., None]
     if "camera_roll" in present:
         angle = present["camera_roll"][1]["angle"]
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

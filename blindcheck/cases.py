@@ -7,17 +7,17 @@ Kinds:
     none              no effect; a fifth passive, a fifth with unknown torque
     weak              one effect of a quarter of the usual size
     two               two effects at once
-    unknown_torque    one effect, and the command is not told
+    unknown_torque    one effect, and the command is not given
     outside           an effect that the catalogue lacks
     leave_one_out     one effect, to be struck from the catalogue with all that can make the very same recording: of
                       these no method could say that one is missing
 
 A case follows from (seed, kind, effect) to the byte, on one machine. Seeds below 10,000 are for development. Those from
-1,000,000 on are for blind runs, and nobody has looked at them before.
+1,000,000 on are for blind runs, and have never been looked at.
 
-An effect of usual size that was hardly met (a stop never reached, a gear's play never crossed; see `visibility`) has
-body, motion and sizes drawn again, at most `TRIES` times. From the third draw on, each that hardly met an effect makes
-it larger by half in the next, five times at most. A gear's play seldom shows; what stands beside it keeps its size.
+An effect of usual size that was hardly met (a stop never reached, backlash never crossed; see `visibility`) has
+body, motion and sizes drawn again, at most `MAX_DRAWS` times. From the third draw on, each that hardly met an effect
+makes it larger by half in the next, five times at most. Backlash seldom shows; what is combined with it keeps its size.
 The answer has d′ of every effect.
 """
 
@@ -34,7 +34,7 @@ from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, shown_by_sensors, world_with
-from invdyn.blindcheck.motion import Plan, frame_times, play, random_plan
+from invdyn.blindcheck.motion import Plan, frame_times, random_plan, simulated
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.setting import Style
 from invdyn.blindcheck.simulator import Trajectory
@@ -43,10 +43,14 @@ from invdyn.models import Body, Tree
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
 KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
-TRIES = 16
-ENOUGH = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
-WEAK = 0.25
-USUAL, GROWING, LARGEST = 3, 1.5, 1.5**5  # draws of usual size; factor from then on, each time, and altogether
+MAX_DRAWS = 16
+MIN_DPRIME = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
+WEAK_FACTOR = 0.25
+USUAL_DRAWS, GROWTH_PER_DRAW, MAX_GROWTH = (
+    3,
+    1.5,
+    1.5**5,
+)  # draws of usual size; factor from then on, each time, and altogether
 
 UNLISTED_NEEDS = {"cross_viscosity": ("two joints",), "cable": ("two joints",), "hot_motor": ("command",)}
 """What those outside the catalogue need, as `effects.Injected.needs`."""
@@ -83,7 +87,7 @@ class Case:
 
 
 def effects_of(kind: str, engine: str = MUJOCO.name) -> tuple[str, ...]:
-    """Names that a case of that kind, played by one of `ENGINES`, may have. Raises ValueError for no such kind."""
+    """Names that a case of that kind, simulated by one of `ENGINES`, may have. Raises ValueError for no such kind."""
     if kind not in KINDS:
         raise ValueError(f"expected a kind of case among {', '.join(KINDS)}, got {kind!r}")
     if kind == "none":
@@ -116,22 +120,22 @@ def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None, e
     while names is None:
         lot = tuple(str(name) for name in rng.choice(known, number, replace=False)) if number else ()
         names = lot if _agree(lot) else None
-    best, strength = None, np.full(len(names), WEAK if kind == "weak" else 1.0)
-    for attempt in range(TRIES):
+    best, strength = None, np.full(len(names), WEAK_FACTOR if kind == "weak" else 1.0)
+    for attempt in range(MAX_DRAWS):
         stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
-        case = _attempt(stream, kind, names, strength, ENGINES[engine])
+        case = attempt_case(stream, kind, names, strength, ENGINES[engine])
         if case is None:
             continue
         shown = np.array([each["dprime"] for each in case.answer["effects"]])
-        if attempt + 1 >= USUAL:
-            strength = np.where(shown < ENOUGH, np.minimum(strength * GROWING, LARGEST), strength)
+        if attempt + 1 >= USUAL_DRAWS:
+            strength = np.where(shown < MIN_DPRIME, np.minimum(strength * GROWTH_PER_DRAW, MAX_GROWTH), strength)
         met = float(shown.min(initial=np.inf))
         if best is None or met > best[0]:
             best = met, case
-        if kind == "weak" or met >= ENOUGH or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
+        if kind == "weak" or met >= MIN_DPRIME or (kind == "unknown_torque" and not set(names) & set(OBSERVATIONS)):
             break
     if best is None:
-        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) whirled, diverged or lost mass in {TRIES} tries")
+        raise RuntimeError(f"case {seed} of kind {kind!r} ({names}) spun, diverged or had no mass in {MAX_DRAWS} tries")
     best[1].answer.update(seed=seed, engine=engine)
     return best[1]
 
@@ -140,9 +144,10 @@ def _agree(names: Sequence[str]) -> bool:
     return len(set(names)) == len(names) and all(len(group & set(names)) < 2 for group in NOT_TOGETHER)
 
 
-def _attempt(
+def attempt_case(
     rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray, engine: Engine
 ) -> Case | None:
+    """One draw of body, motion and sizes, or None where it cannot be a case."""
     regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
     if kind == "none":
         regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
@@ -150,7 +155,7 @@ def _attempt(
     setting = engine.setting
     true_body, body = setting.bodies(rng, [need for name in names for need in needs(name, engine)], names, passive)
     plan = random_plan(rng, true_body, passive, engine.world, setting.habits)
-    plain = play(engine.world(true_body), engine.world(body), plan)
+    plain = simulated(engine.world(true_body), engine.world(body), plan)
     if _wild(plain):
         return None
     yardsticks = scene(true_body, plan, plain, engine.world)
@@ -163,7 +168,7 @@ def _attempt(
     world = world_with(true_body, present, yardsticks, engine)
     if not world.possible:
         return None
-    real = play(world, nominal, plan, pace(present))
+    real = simulated(world, nominal, plan, pace(present))
     if _wild(real) or ("joint_coupling" in names and not _unambiguous(real)):
         return None
     answer: dict[str, Any] = {
@@ -185,7 +190,7 @@ def _attempt(
             frame_rate=plan.frame_rate,
             command_rate=plan.command_rate,
         )
-        second = play(world_with(true_body, present, yardsticks, engine), nominal, again, pace(present))
+        second = simulated(world_with(true_body, present, yardsticks, engine), nominal, again, pace(present))
         if not _wild(second):
             other = _record(second, again, body, regime, present, noise, (*seed, 1), style, "other", engine)
     recording = _record(real, plan, body, regime, present, noise, seed, style, "recording", engine)
@@ -227,9 +232,9 @@ def _record(
     if style.encoder:
         true = readings(real, when, shown_by_sensors(present))
         angles = np.round(true + style.encoder * rng.standard_normal(true.shape), 7)
-    lost = rng.random(len(stated)) < style.missing
-    lost[0] = False
-    points[lost] = np.nan
+    missing = rng.random(len(stated)) < style.missing
+    missing[0] = False
+    points[missing] = np.nan
     names = (body.base_keypoint, *body.keypoint_names) if style.base and isinstance(body, Body) else body.keypoint_names
     if not style.filmed:
         points, names = points[:, :0], ()
@@ -240,16 +245,16 @@ def _record(
     rows = np.arange((len(stated) - 1) * each + 1)
     first = int(np.argmin(np.abs(real.command_time)))
 
-    def spread(values: np.ndarray) -> np.ndarray:
+    def at_all_rows(values: np.ndarray) -> np.ndarray:
         full = np.full((len(rows), *values.shape[1:]), np.nan)
         full[::each] = values
         return full
 
     return Recording(
         rows / plan.command_rate,
-        spread(points),
+        at_all_rows(points),
         names,
-        angles=None if angles is None else spread(angles),
+        angles=None if angles is None else at_all_rows(angles),
         torques=np.vectorize(lambda u: float(f"{u:.8g}"))(real.command[first + rows]),
         joint_names=joints,
         name=name,

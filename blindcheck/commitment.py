@@ -1,13 +1,13 @@
-"""Sealed answers: told apart from guesses made afterwards, and out of the diagnosis's reach until the score.
+"""Sealed answers: they cannot be changed afterwards, and the diagnosis cannot read them before the score.
 
-Commit and reveal (Blum 1981). Before any diagnosis runs, the answers are turned into canonical JSON (sorted keys, no
+Commit and reveal (Blum 1981). Before any diagnosis runs, the answers are written as canonical JSON (sorted keys, no
 spaces), and
 
     commitment = SHA-256(nonce ‖ canonical JSON),     nonce = 32 random bytes
 
 is printed and written. The answers and the nonce stay in the memory of the process that made them; the disk has the
 commitment, and for a run that is resumed the answers under lock, xor SHAKE-256(nonce ‖ label). The nonce, where it is
-random or follows from a seed that nobody guesses, keeps anybody from finding them by trying. The diagnosis runs as
+random or follows from a secret seed, keeps them from being found by trying. The diagnosis runs as
 another process, which is given a case's folder and nothing else. Its results are hashed as well before the answers are
 opened: then `open_to` writes answers and nonce, and anybody can check that they are the ones that were promised.
 
@@ -36,7 +36,7 @@ def canonical(answers: Mapping) -> bytes:
 
 
 class Sealed:
-    """Answers that nobody reads until they are opened."""
+    """Answers that cannot be read until they are opened."""
 
     def __init__(self, answers: Mapping, nonce: bytes | None = None):
         self._answers = json.loads(canonical(answers))
@@ -126,7 +126,7 @@ def run_apart(
 
     Neither memory nor open files pass to it, and its standard input is empty. `identity` is who runs it: user, group,
     extra_groups and env of `subprocess.Popen`. `on_start` is called with the process, which others may then end.
-    Returns the finished process, whatever its exit code. Raises OSError when it cannot be started.
+    Returns the finished process, with any exit code. Raises OSError when it cannot be started.
     """
     pipes: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
     pipes |= {"stdin": subprocess.DEVNULL, "text": True, "errors": "replace"}

@@ -51,9 +51,8 @@ class Confined:
         except (OSError, subprocess.SubprocessError):
             raise InputError(f"method_user: only root can run a method as {self.user!r}, another user") from None
         if not reached:
-            told = "does not reach this folder; give --out one that all may enter"
-            raise InputError(f"{folder}: user {self.user!r} {told}")
-
+            message = "does not reach this folder; give --out one that all may enter"
+            raise InputError(f"{folder}: user {self.user!r} {message}")
         if read:
             raise InputError(f"{read[0]}: user {self.user!r} can read the seed's file; chmod 600 it")
 
@@ -79,7 +78,7 @@ class Confined:
             finally:
                 os.chown(out, os.getuid(), os.getgid())
         if self.container:
-            return run_apart([*self._container(case, out), *words], case, on_start)
+            return run_apart([*self.container_command(case, out), *words], case, on_start)
         keep_memory_private()
         return run_apart(words, case, on_start)
 
@@ -103,7 +102,8 @@ class Confined:
         groups = os.getgrouplist(known.pw_name, known.pw_gid)
         return {"user": known.pw_uid, "group": known.pw_gid, "extra_groups": groups, "env": os.environ | own}
 
-    def _container(self, case: Path, out: Path) -> list[str]:
+    def container_command(self, case: Path, out: Path) -> list[str]:
+        """The words that put a command into a container with only this case and its answer's folder."""
         words = [*NAMESPACES, *OWN]
         for path in self.hidden:
             path = path.resolve()

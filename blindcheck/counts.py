@@ -15,7 +15,7 @@ SHARES = {
     "leave_one_out": 0.03,
 }
 """Of the default mix."""
-MOST_CASES = 100_000
+MAX_CASES = 100_000
 """Cases, which take a minute each to diagnose: more is a slip of the keyboard."""
 
 
@@ -24,14 +24,14 @@ def counted(kinds: str | None, cases: int) -> dict[str, int]:
 
     Raises InputError for another kind, or a number that is none.
     """
-    if cases > MOST_CASES:
-        raise InputError(f"expected {MOST_CASES} cases at most, got more")
+    if cases > MAX_CASES:
+        raise InputError(f"expected {MAX_CASES} cases at most, got more")
     given = [part.strip().partition("=") for part in (kinds or ",".join(SHARES)).split(",") if part.strip()]
     for kind, sign, number in given:
         if kind not in SHARES:
             raise InputError(f"expected kinds among {', '.join(SHARES)}, got {kind!r}")
-        if sign and not (number.isdecimal() and len(number) <= len(str(MOST_CASES)) and 0 < int(number) <= MOST_CASES):
-            raise InputError(f"expected a number of cases of kind {kind} from 1 to {MOST_CASES}, got {number!r:.60}")
+        if sign and not (number.isdecimal() and len(number) <= len(str(MAX_CASES)) and 0 < int(number) <= MAX_CASES):
+            raise InputError(f"expected a number of cases of kind {kind} from 1 to {MAX_CASES}, got {number!r:.60}")
     if len({kind for kind, *_ in given}) < len(given) or not given:
         raise InputError(f"expected each kind once, got {kinds!r}")
     fixed = {kind: int(number) for kind, sign, number in given if sign}

@@ -1,4 +1,4 @@
-"""What plays reality: worlds, mechanisms, and the camera that films them. `ENGINES` has them by name.
+"""What simulates reality: worlds, mechanisms, and the camera that films them. `ENGINES` has them by name.
 
 Engines of a kind of bodies share names, places, units and usual sizes of effects, bodies, motions and answers.
 """
@@ -32,9 +32,9 @@ class Engine:
 
     Attributes:
         name: for the command line and in the answers.
-        package: that plays it; its module is imported under `module`.
+        package: that simulates it; its module is imported under `module`.
         setting: the kind of bodies, and what their cases have in common.
-        effects: those of the catalogue that it plays, by name.
+        effects: those of the catalogue that it simulates, by name.
         world: a body → a world that mechanisms change and that then runs: see `simulator.World`.
         draw: (generator, effect, scene, place, strength) → the effect's parameters.
         mechanisms: effect → what installs it, called with a world, a place unless it is of the whole arm, and the

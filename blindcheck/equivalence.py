@@ -3,11 +3,11 @@
 An entry is one effect of an answer or of a cause: {"effect": …, "joint" | "link" | "keypoint": …, perhaps "partner",
 "stop", …}. A pair of places is the same in either order; an effect of the whole arm is so wherever it is said to be.
 
-Exact equivalences: there is a size of the other that makes the same recording, whatever the motion. They are written
+Exact equivalences: there is a size of the other that makes the same recording for any motion. They are written
 down here, once, and nowhere else:
 
     gravity_tilt      ≡ camera_roll           the base at the origin, no encoders
-    actuator_delay    ≡ camera_latency        all joints alike, no encoders
+    actuator_delay    ≡ camera_latency        all joints with the same delay, no encoders
     camera_scale      ≡ lens_distortion       one link, the base at the origin: its tip stays on one circle
     armature          ≡ inertial_error        first joint, its link, no gravity, or in space an upright axis: both are
                       ≡ payload, actuator_gain           its inertia about the joint; and with one link those too
@@ -16,7 +16,7 @@ down here, once, and nowhere else:
 
 (A marker's offset along its link is as exactly the link's length, and one gain of all motors one factor of all masses,
 but neither is an effect of the catalogue.) An effect that is another one's special case is not equivalent to it: the
-simpler of the two is the better answer. But the other one can play it, and with the same recording:
+simpler of the two is the better answer. But the other one can imitate it, with the same recording:
 
     coulomb_friction  by stribeck_friction    the same torque at rest
     viscous_friction  by drifting_friction    that does not drift
@@ -57,7 +57,7 @@ def same(truth: Entry, found: Entry) -> bool:
     return not here or here == there
 
 
-def exactly_alike(truth: Entry, found: Entry, answer: Mapping) -> bool:
+def exactly_equivalent(truth: Entry, found: Entry, answer: Mapping) -> bool:
     """Whether no recording of this case can tell two effects apart; see the top of the file."""
     names = {str(truth["effect"]), str(found.get("effect"))}
     joints, body = answer["joints"], answer["body"]
@@ -108,9 +108,9 @@ def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
     equal = [
         other
         for other in twins
-        if other != name and exactly_alike(truth, {"effect": other} | at.get(other, {}), answer)
+        if other != name and exactly_equivalent(truth, {"effect": other} | at.get(other, {}), answer)
     ]
-    played = {
+    imitated = {
         "coulomb_friction": "stribeck_friction",
         "viscous_friction": "drifting_friction",
         "payload": "inertial_error",
@@ -121,7 +121,7 @@ def stand_ins(truth: Entry, answer: Mapping) -> tuple[str, ...]:
         "gravity_tilt": "keypoint_offset" if one and not _has_encoders(answer) else None,
         "encoder_offset": "gravity_tilt" if truth.get("joint") == joints[0] else None,
     }.get(name)
-    return tuple(sorted({*equal, *([played] if played else [])}))
+    return tuple(sorted({*equal, *([imitated] if imitated else [])}))
 
 
 def in_group(entry: Entry, key: str) -> bool:
@@ -155,17 +155,19 @@ def together(entries: Sequence[Entry], group: Sequence[str]) -> bool:
     return any(paired(entries, key.split("+"), in_group) for key in group)
 
 
-def alike(truth: Sequence[Entry], found: Sequence[Entry], answer: Mapping, groups: Sequence[Sequence[str]]) -> bool:
-    """Whether a cause is the truth up to what cannot be told: exactly, or by what was reported."""
+def equivalent(
+    truth: Sequence[Entry], found: Sequence[Entry], answer: Mapping, groups: Sequence[Sequence[str]]
+) -> bool:
+    """Whether a cause is the truth up to what is indistinguishable: exactly, or by what was reported."""
     if any(together(truth, group) and together(found, group) for group in groups):
         return len(truth) == len(found)
     return paired(truth, found, lambda a, b: agreeing(a, b, answer, groups))
 
 
 def agreeing(truth: Entry, found: Entry, answer: Mapping, groups: Sequence[Sequence[str]]) -> bool:
-    """Whether two effects are one up to what cannot be told."""
+    """Whether two effects are indistinguishable."""
     return (
         same(truth, found)
-        or exactly_alike(truth, found, answer)
+        or exactly_equivalent(truth, found, answer)
         or any(together([truth], group) and together([found], group) for group in groups)
     )

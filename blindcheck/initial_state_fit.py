@@ -19,13 +19,13 @@ from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.stretched import pendulum_frequency
 from invdyn.models import Body, Tree
 
-EARLY = 0.1
-"""s before the first frame from which the world is replayed: longer than any delay, and nobody saw what was before."""
-NUDGE = 1e-4
+REPLAY_LEAD = 0.1
+"""s before the first frame from which the world is replayed: longer than any delay; no earlier motion was recorded."""
+DIFFERENCE_ANGLE = 1e-4
 """rad, of the differences by which the effect of another starting state is measured."""
-STEPS = 10
+MAX_GAUSS_NEWTON_STEPS = 10
 """Gauss–Newton steps at most, for windows of one length, unless said otherwise."""
-DOUBLED = 3
+MAX_WINDOW_DOUBLINGS = 3
 """How often the windows' length doubles, up to a period, unless said otherwise."""
 
 
@@ -43,14 +43,14 @@ def unlike_any_start(
     """Tips ``seen`` (T, O, d) at ``frames`` (T,), less what ``world`` makes of the best states to start from.
 
     In units of the ``noise``, m; NaN where it whirls away. States are looked for from the ``true`` ones on,
-    in so many steps (`STEPS`), with windows ``doubled`` so often (`DOUBLED`).
+    in so many steps (`MAX_GAUSS_NEWTON_STEPS`), with windows ``doubled`` so often (`MAX_WINDOW_DOUBLINGS`).
     """
-    most, lengths = steps_at_most or STEPS, DOUBLED if doubled is None else doubled
-    true = _from(true, frames[0] - EARLY)
+    most, lengths = steps_at_most or MAX_GAUSS_NEWTON_STEPS, MAX_WINDOW_DOUBLINGS if doubled is None else doubled
+    true = _from(true, frames[0] - REPLAY_LEAD)
     hz = pendulum_frequency(body)
     interval = np.diff(true.command_time).mean()
-    units = [(NUDGE * unit, np.zeros_like(unit)) for unit in np.eye(body.num_joints)]
-    units += [(np.zeros_like(unit), 2 * np.pi * hz * NUDGE * unit) for unit in np.eye(body.num_joints)]
+    units = [(DIFFERENCE_ANGLE * unit, np.zeros_like(unit)) for unit in np.eye(body.num_joints)]
+    units += [(np.zeros_like(unit), 2 * np.pi * hz * DIFFERENCE_ANGLE * unit) for unit in np.eye(body.num_joints)]
 
     def windows(steps: int, time: np.ndarray) -> np.ndarray:
         early = 1e-3 * interval  # a restart belongs to the window that it opens
@@ -107,9 +107,9 @@ def _fitted(
         new = misfit(tried)
         for number in sorted(going):
             rows = window == number
-            lost = np.isfinite(rest[rows]) & ~np.isfinite(new[rows])  # it whirls away where it did not before
+            diverged = np.isfinite(rest[rows]) & ~np.isfinite(new[rows])  # it whirls away where it did not before
             before, after = (float(np.nansum(each[rows] ** 2)) for each in (rest, new))
-            after = np.inf if lost.any() else after
+            after = np.inf if diverged.any() else after
             if number not in hoped or before - hoped[number] < max(0.01 * before, 0.1):
                 going.discard(number)  # nothing more to be had
                 continue

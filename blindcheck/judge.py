@@ -1,16 +1,16 @@
-"""One case: what a diagnosis.json says, held against the answer. Plain JSON on both sides."""
+"""One case: what a diagnosis.json says, compared with the answer. Plain JSON on both sides."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, overload
 
-from invdyn.blindcheck.equivalence import agreeing, alike, in_group, paired, place, same, together
+from invdyn.blindcheck.equivalence import agreeing, equivalent, in_group, paired, place, same, together
 
 OUTSIDE_KINDS = ("outside", "leave_one_out")
 NONE, OUTSIDE, FAILED = "no gap", "outside the catalogue", "no diagnosis"
-NEAR = 0.5
-"""s that an interval about a push may last, if the push was shorter than a tenth of that."""
+MAX_PUSH_INTERVAL = 0.5
+"""Longest interval about a push, s, if the push was shorter than a tenth of that."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class Verdict:
         failed: there is no diagnosis.
         detected: a gap was said to be there.
         fia: probability on the true cause.
-        exact, by_set: the most probable answer is the truth; up to what cannot be told.
+        exact, by_set: the most probable answer is the truth; or indistinguishable from it.
         some: at least one of several true effects is in the most probable answer.
-        at_work: at least one is more probably at work than not, whatever else is: named, or said to be a part.
+        at_work: at least one is more probably at work than not: named, or said to be a part.
         probability: of the most probable answer.
         set_size: how many are in the ambiguity set of the most probable cause.
         side, joint, keypoint, interval: whether the largest share is at the true one.
-        side_by_set: whether it is, or the answer is the truth up to what cannot be told.
+        side_by_set: whether it is, or the answer is indistinguishable from the truth.
         outside: said to be outside the catalogue (P > ½).
         hidden: the true effect was said to be one that the recording cannot show.
         closed: share of the gap closed as reported; `of_oracle` of what knowing the effect closes.
@@ -80,9 +80,9 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
         "dprime": min((e["dprime"] for e in truth), default=None),
         "truth_side": only["side"] if only else None,
     }
-    asked = only is not None and not unknown
+    scored = only is not None and not unknown
     if found is None:
-        places = ("side", "side_by_set", *_asked(answer)) if asked else ()
+        places = ("side", "side_by_set", *_scored(answer)) if scored else ()
         return Verdict(**start | dict.fromkeys(places, False))
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)
@@ -91,7 +91,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     says_outside = best is None or outside > number(best["probability"], 0.0)
     entries = [] if best is None or says_outside else best["effects"]
     right = says_outside and bool(causes or outside) if unknown else not says_outside and paired(truth, entries, same)
-    like = right if unknown or says_outside else alike(truth, entries, answer, groups)
+    like = right if unknown or says_outside else equivalent(truth, entries, answer, groups)
     said = OUTSIDE if says_outside and outside > 0 else label_of(entries) if best is not None else FAILED
     verdict: dict[str, Any] = {
         "answer": said,
@@ -108,10 +108,10 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
         "hidden": only is not None and any(in_group(only, key) for key in found.get("not_identifiable") or []),
         "closed": number((found.get("shrinkage") or {}).get("gap_closed"), None) if truth else None,
         "of_oracle": closed_of(found, oracle) if oracle else None,
-        "covered": covered(only, entries[0]) if only is not None and asked and right else {},
+        "covered": covered(only, entries[0]) if only is not None and scored and right else {},
     }
     where = found.get("where") or {}
-    if only is not None and asked:
+    if only is not None and scored:
         verdict["side"] = top(where.get("side")) == only["side"]
         verdict["side_by_set"] = verdict["side"] or like
         located: dict[str, Callable[[], bool]] = {
@@ -119,7 +119,7 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
             "keypoint": lambda: top(where.get("keypoints")) in place(truth[0]),
             "interval": lambda: in_time(truth[0]["interval"], where.get("intervals") or []),
         }
-        verdict |= {name: located[name]() for name in _asked(answer)}
+        verdict |= {name: located[name]() for name in _scored(answer)}
     return Verdict(**start, **verdict)
 
 
@@ -150,7 +150,7 @@ def set_size(entries: Sequence[Mapping], groups: Sequence[Sequence[str]]) -> int
 
 def covered(truth: Mapping, found: Mapping) -> dict[str, bool]:
     """Parameter → whether the 90 % interval holds it; angles up to whole turns; those that both have."""
-    held = {}
+    covers = {}
     for name, true in truth["parameters"].items():
         interval = (found.get("parameters") or {}).get(name, {}).get("interval_90")
         if name == "side" or not interval or not all(math.isfinite(number(v, math.nan)) for v in interval):
@@ -159,8 +159,8 @@ def covered(truth: Mapping, found: Mapping) -> dict[str, bool]:
         value = true["value"]
         if true["unit"] == "rad":
             value += 2 * math.pi * round(((low + high) / 2 - value) / (2 * math.pi))
-        held[name] = low <= value <= high
-    return held
+        covers[name] = low <= value <= high
+    return covers
 
 
 def in_time(true: Sequence[float], intervals: Sequence[Mapping]) -> bool:
@@ -169,7 +169,7 @@ def in_time(true: Sequence[float], intervals: Sequence[Mapping]) -> bool:
         return False
     best = max(intervals, key=lambda i: number(i["share"], 0.0))
     start, stop = best["start"], best["end"]
-    return start < true[1] and stop > true[0] and stop - start <= max(NEAR, 10 * (true[1] - true[0]))
+    return start < true[1] and stop > true[0] and stop - start <= max(MAX_PUSH_INTERVAL, 10 * (true[1] - true[0]))
 
 
 def closed_of(found: Mapping, oracle: Mapping) -> float | None:
@@ -198,7 +198,7 @@ def number(value: object, otherwise: float | None) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else otherwise
 
 
-def _asked(answer: Mapping) -> list[str]:
+def _scored(answer: Mapping) -> list[str]:
     """Of the places of a single effect those that there is a choice of."""
     only, several = answer["effects"][0], len(answer["joints"]) > 1
     arises = {

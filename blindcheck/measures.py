@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import binom, norm
 
 Z90 = float(norm.ppf(0.95))
-BINS = 10
+CALIBRATION_BINS = 10
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,10 @@ def calibration(probability: Sequence[float], right: Sequence[bool]) -> Calibrat
     p, hit = np.asarray(probability, float), np.asarray(right, float)
     if not p.size:
         return Calibration((), None, None)
-    place = np.minimum((p * BINS).astype(int), BINS - 1)
+    place = np.minimum((p * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
     bins = tuple(
         (float(p[place == b].mean()), float(hit[place == b].mean()), int((place == b).sum()))
-        for b in range(BINS)
+        for b in range(CALIBRATION_BINS)
         if (place == b).any()
     )
     ece = sum(n * abs(stated - share) for stated, share, n in bins) / len(p)

@@ -1,4 +1,4 @@
-"""Methods that a blind run asks: ours, in a process that goes from case to case, or anybody's command."""
+"""Methods that a blind run calls: ours, in one process for all cases, or any command."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from invdyn.blindcheck.confined import Confined
 
 
 class Ours(AbstractContextManager):
-    """Our own method, in a process of its own that goes from case to case; where it dies with one, another comes."""
+    """Our own method, in one process for all cases; if it dies, another process takes its place."""
 
     def __init__(self, threads: int | None = None):
         self._process: subprocess.Popen[str] | None = None
@@ -78,7 +78,7 @@ class Theirs(AbstractContextManager):
         self._ended = False
 
     def __exit__(self, *_: object) -> None:
-        """End the case that is being diagnosed: who waits for it in another thread then goes on."""
+        """End the case that is being diagnosed: another thread that waits for it then continues."""
         self._ended = True
         if self._process is not None:
             self._process.kill()
@@ -102,10 +102,10 @@ class Theirs(AbstractContextManager):
         for name, place in places.items():
             words = [word.replace(f"{{{name}}}", str(place)) for word in words]
         finished = self._confined.run(words, case, out, self._started)
-        told = out / "diagnosis.json"
-        if finished.returncode or not told.exists():
+        written = out / "diagnosis.json"
+        if finished.returncode or not written.exists():
             return f"exit code {finished.returncode}\n{finished.stdout[-2000:]}{finished.stderr[-2000:]}"
         try:
-            return unreadable(json.loads(told.read_text(encoding="utf-8")))
+            return unreadable(json.loads(written.read_text(encoding="utf-8")))
         except (ValueError, RecursionError) as error:
             return f"diagnosis.json: expected JSON in UTF-8: {error}"

@@ -2,12 +2,12 @@
 
 Bodies reach from 5 cm, a mouse's limb of some ten grams, to 1.8 m, an industrial arm of some twenty kilograms
 (mass ∝ reach², as those two have it). All times follow from the pendulum frequency of the outstretched body under
-9.81 m/s², also where no gravity acts in the plane. A commanded body is told, at the command's rate,
+9.81 m/s², also where no gravity acts in the plane. A commanded body is given, at the command's rate,
 
     u = τ_nominal(θ_d, θ̇_d, θ̈_d) + K_p (θ_d − θ) + K_d (θ̇_d − θ̇)
 
 with θ_d a sum of three sines for each joint; the recording has the u that was given to the motors. Where these are
-position servos, u = S θ_d is the torque that their targets ask for by themselves. Shapes: K joints, C command rows. SI
+position servos, u = S θ_d is the torque that their targets alone would give. Shapes: K joints, C command rows. SI
 units, radians.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.simulator import Trajectory, World
-from invdyn.blindcheck.stretched import EARTH, pendulum_frequency
+from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency
 from invdyn.models import Body, Link, Tree
 
 NAMES = (("base", "tip"), ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))  # keypoints of 1, 2, 3 links
@@ -47,12 +47,12 @@ def random_body(rng: np.random.Generator, joints: int, horizontal: bool) -> Body
         inertia = None if rods else float(f"{mass * length**2 * rng.uniform(0.06, 0.12):.4g}")
         links.append(Link(f"link{k + 1}", points[k], points[k + 1], length, mass, com, inertia))
     base = (0.0, 0.0) if rng.random() < 0.7 else tuple(np.round(rng.uniform(-0.3, 0.3, 2) * reach, 4).tolist())
-    return Body("arm", links, (0.0, 0.0) if horizontal else (0.0, -EARTH), base)
+    return Body("arm", links, (0.0, 0.0) if horizontal else (0.0, -STANDARD_GRAVITY), base)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How one recording goes. `amplitude`, `frequency`, `phase` (K, 3) and `centre` (K,) make θ_d; gains (K,).
+    """The plan of one recording. `amplitude`, `frequency`, `phase` (K, 3) and `centre` (K,) make θ_d; gains (K,).
 
     A passive plan lets the body go at angles `centre` with velocities `release`, and commands nothing. Of position
     servos `targeted` (K,) has the stiffnesses S, N·m/rad.
@@ -128,7 +128,7 @@ def random_plan(
     size = rng.dirichlet([2.0, 2.0, 2.0], joints) * rng.uniform(*habits.size, (joints, 1))
     frequency = np.sort(natural * np.exp(rng.uniform(np.log(0.2), np.log(1.1), (joints, 3))), axis=1)
     command_rate = frame_rate * (1 if passive else int(rng.choice(faster)))
-    # what a joint's motor feels with all other joints free; a held command allows only so fast a loop
+    # what a joint's motor feels with all other joints free; a piecewise-constant command limits the speed of the loop
     inertia = 1 / np.linalg.inv(made(body).inertia(centre)).diagonal()
     bandwidth = min(2 * np.pi * natural * rng.uniform(1.0, 2.5), 0.3 * command_rate)
     servos = [] if passive else [parts.servo for parts in body.joint_parts if parts is not None and parts.servo]
@@ -153,7 +153,7 @@ def frame_times(plan: Plan) -> np.ndarray:
     return np.arange(round(plan.duration * plan.frame_rate) + 1) / plan.frame_rate
 
 
-def play(world: World, nominal: World, plan: Plan, pace: float = 1.0) -> Trajectory:
+def simulated(world: World, nominal: World, plan: Plan, pace: float = 1.0) -> Trajectory:
     """Run a plan in a world, from `LEAD` before the recording to `TRAIL` after it.
 
     `nominal` gives the torques that the controller believes in. `pace`: a clock that runs so many times too fast

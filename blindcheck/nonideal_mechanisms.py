@@ -1,4 +1,4 @@
-"""What is softer in reality than its ideal law: friction through bristles, tissue that swings by itself.
+"""Non-ideal mechanisms: friction through bristles, tissue that oscillates by itself.
 
     bristles   −(σ₀ z + σ₁ ż),  ż = θ̇ − σ₀ |θ̇| z / g(θ̇),  g = τc + (τs − τc) exp(−(θ̇/ωs)²)
     tissue     δ̈ + 2ζω δ̇ + ω² δ = −p̈,  ω = 1/√κ:  −κ p̈ where motion is slow

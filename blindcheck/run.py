@@ -8,7 +8,7 @@
     OUT/scores.json          the score, with the hash of all diagnoses as they were before
     OUT/blind.html           the same as a page
 
-Goes on where an earlier run of the same call stopped: cases follow from the seed, and so does the nonce, so that the
+Continues where an earlier run of the same call stopped: cases follow from the seed, and so does the nonce, so that the
 hash is the same; cases and diagnoses that are there are not made again. The seed is on no disk before the answers are
 open.
 """
@@ -59,7 +59,7 @@ class BlindRun:
         workers: processes.
         command: of another method, or None for ours.
         confined: how that method is kept from the seed and from the other cases.
-        engine: that plays reality, a name of `engine.ENGINES`.
+        engine: that simulates reality, a name of `engine.ENGINES`.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class BlindRun:
         try:
             import_module(ENGINES[self.engine].module)
         except ImportError:
-            raise InputError(f"the blind check plays reality in {self.engine}: pip install 'invdyn[robots]'") from None
+            raise InputError(f"the blind check needs {self.engine}: pip install 'invdyn[robots]'") from None
         if self.command is not None:
             try:
                 words = shlex.split(self.command)
@@ -169,14 +169,14 @@ class BlindRun:
         answers = self._sealed.open_to(self.folder / "answers.json")
         if oracle and self.command is None:
             known = ENGINES[self.engine].effects
-            told = {
+            given = {
                 name: tuple(e for e in known if e not in {each["effect"] for each in answer["effects"]})
                 for name, answer in answers.items()
                 if answer["effects"] and {each["effect"] for each in answer["effects"]} <= set(known)
             }
-            told = {name: rest for name, rest in told.items() if answers[name]["kind"] != "leave_one_out"}
-            done = {name for name in told if (self.folder / "oracle" / name / "took.json").exists()}
-            self._diagnose("oracle", {n: w for n, w in told.items() if n not in done}, progress, "oracle")
+            given = {name: rest for name, rest in given.items() if answers[name]["kind"] != "leave_one_out"}
+            done = {name for name in given if (self.folder / "oracle" / name / "took.json").exists()}
+            self._diagnose("oracle", {n: w for n, w in given.items() if n not in done}, progress, "oracle")
         scores = score(answers, found, self._read("oracle"))
         took = [_seconds(path) for path in sorted(self.folder.glob("diagnoses/*/took.json"))]
         about = {
@@ -206,11 +206,11 @@ class BlindRun:
         found = {}
         for path in sorted(self.folder.glob(f"{kind}/*/diagnosis.json")):
             try:
-                told = json.loads(path.read_text(encoding="utf-8"))
+                given = json.loads(path.read_text(encoding="utf-8"))
             except (ValueError, RecursionError):
                 continue  # the score counts it as failed
-            if unreadable(told) is None:
-                found[path.parent.name] = told
+            if unreadable(given) is None:
+                found[path.parent.name] = given
         return found
 
     def _diagnose(self, kind: str, todo: Mapping[str, Iterable[str]], progress: Progress | None, what: str) -> None:

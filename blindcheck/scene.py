@@ -16,7 +16,7 @@ from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.stretched import pendulum_frequency, reach
 from invdyn.models import Body, Tree
 
-NONIDEAL = 0.4
+NONIDEAL_FRACTION = 0.4
 """Share of friction, tissue and lenses that are not ideal."""
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from invdyn.blindcheck.judge import FAILED, NONE, OUTSIDE, OUTSIDE_KINDS, Verdict, judge
 from invdyn.blindcheck.measures import Calibration, Measure, calibration, mean, median, rate
 
-CLEAR = 30.0
+CLEAR_DPRIME = 30.0
 """d′ from which an effect counts as one that shows; see `visibility`."""
 
 CATALOGUED = ("commanded", "passive", "weak", "two", "none")
@@ -75,7 +75,7 @@ def score(
     Args:
         answers: what was put into reality, by case, as `sealed.read_opened` reads it.
         diagnoses: what was found, diagnosis.json each; a case that is missing here has failed.
-        oracles: diagnoses by one who was told which effect it is, where there are such.
+        oracles: diagnoses in which the effect was given, if there are any.
     """
     oracles = oracles or {}
     verdicts = tuple(judge(n, answer, diagnoses.get(n), oracles.get(n)) for n, answer in answers.items())
@@ -94,8 +94,8 @@ def score(
 
 
 def _calibrated(verdicts: Sequence[Verdict]) -> Calibration:
-    told = [(v.probability, v.exact) for v in verdicts if v.probability is not None]
-    return calibration([stated for stated, _ in told], [exact for _, exact in told])
+    stated = [(v.probability, v.exact) for v in verdicts if v.probability is not None]
+    return calibration([probability for probability, _ in stated], [exact for _, exact in stated])
 
 
 def _single(verdicts: Sequence[Verdict], targets: Mapping[str, str]) -> list[Measure]:
@@ -104,7 +104,7 @@ def _single(verdicts: Sequence[Verdict], targets: Mapping[str, str]) -> list[Mea
     def known(attribute: str) -> list:
         return [value for v in verdicts if (value := getattr(v, attribute)) is not None]
 
-    parameters = [held for v in verdicts for held in v.covered.values()]
+    parameters = [inside for v in verdicts for inside in v.covered.values()]
     found = [
         rate("a gap is detected", [v.detected for v in verdicts]),
         mean("probability on the true cause (FIA)", [v.fia for v in verdicts]),
@@ -173,7 +173,9 @@ def _unknown_torque(verdicts: Sequence[Verdict]) -> list[Measure]:
     dynamics = [v for v in verdicts if v.truth_side == "dynamics"]
     return [
         rate("observation effects named", [v.by_set for v in seen], "≥ 0.80"),
-        rate(f"… of those that show (d′ ≥ {CLEAR:g})", [v.by_set for v in seen if (v.dprime or 0) >= CLEAR]),
+        rate(
+            f"… of those that show (d′ ≥ {CLEAR_DPRIME:g})", [v.by_set for v in seen if (v.dprime or 0) >= CLEAR_DPRIME]
+        ),
         rate("dynamics effects named, or said to be hidden", [v.hidden or v.by_set for v in dynamics], "≥ 1"),
         rate("dynamics effects blamed on something else", [v.detected and not v.by_set for v in dynamics]),
     ]

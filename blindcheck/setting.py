@@ -1,4 +1,4 @@
-"""What cases of one kind of body have in common, whoever plays them: bodies, motions, sensors. Those of the plane."""
+"""What cases of one kind of body have in common in every engine: bodies, motions, sensors. Those of the plane."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

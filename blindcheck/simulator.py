@@ -1,9 +1,9 @@
-"""Reality as MuJoCo plays it: a planar chain of hinges, commanded torques, and whatever mechanism is installed.
+"""Reality as MuJoCo simulates it: a planar chain of hinges, commanded torques, and the installed mechanisms.
 
 Todorov, Erez & Tassa, "MuJoCo: a physics engine for model-based control", IROS 2012. Recursive dynamics, its
 Runge–Kutta integrator of order 4 with steps of at most half a millisecond, and constraints for dry friction and
 stops. The chain is a list of segments, each behind one hinge about z; a link is one segment, unless a mechanism
-splits it (a hidden hinge) or puts a rotor before it (play).
+splits it (a hidden hinge) or puts a rotor before it (backlash).
 
 A mechanism changes a `World` before it runs: its `segments`, its `gravity`, the MuJoCo specification (`on_spec`),
 the command on its way to the motors (`on_command`), or a force at every step (`on_step`).
@@ -21,8 +21,8 @@ import numpy as np
 from invdyn.models import Body, Link
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
 
-LONGEST_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
-FASTEST = 300.0  # rad/s; beyond it the run has diverged
+MAX_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
+MAX_JOINT_SPEED = 300.0  # rad/s; beyond it the run has diverged
 
 
 class Trajectory(NamedTuple):
@@ -135,7 +135,7 @@ class World:
         for segment in self.segments:
             parent = parent.add_body(name=segment.hinge, pos=offset)
             parent.mass, parent.ipos, parent.explicitinertial = segment.mass, [segment.com, 0.0, 0.0], True
-            # about x and y nothing turns; all three alike satisfies the triangle inequality
+            # about x and y nothing rotates; three equal moments satisfy the triangle inequality
             parent.inertia = [max(segment.inertia, 1e-14)] * 3
             self._hinge(spec, parent, segment.hinge, [0.0, 0.0, 1.0], segment.actuated)
             offset = [segment.length, 0.0, 0.0]
@@ -146,7 +146,7 @@ class World:
         joint = parent.add_joint(name=name, type=mj.mjtJoint.mjJNT_HINGE, axis=axis)
         # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
         # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
-        joint.solref_friction, joint.solimp_friction = [2 * LONGEST_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+        joint.solref_friction, joint.solimp_friction = [2 * MAX_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
         joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
         if actuated:
             motor = spec.add_actuator(name=name, target=name)
@@ -188,9 +188,9 @@ class World:
             after = slice(i + 1, end + 1)
             with kept_warnings(self.mujoco):  # of what is thrown off, and NaN from there on
                 qpos[after], qvel[after] = self._advance(i, time[i:end], rows[i // per_row])
-            lost = np.flatnonzero(~(np.abs(qvel[i : end + 1]).max(1) < FASTEST))
-            if len(lost):
-                first = i + lost[0]
+            diverged = np.flatnonzero(~(np.abs(qvel[i : end + 1]).max(1) < MAX_JOINT_SPEED))
+            if len(diverged):
+                first = i + diverged[0]
                 qpos[first:], qvel[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
                 break
         points, heading = self._seen(time, qpos)
@@ -199,7 +199,7 @@ class World:
 
     def _longest_step(self, replayed: bool) -> float:
         """Of a run, s; ``replayed`` says that it is taken back to another one's path again and again."""
-        return LONGEST_STEP
+        return MAX_STEP
 
     def _advance(self, first: int, time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,)."""
@@ -281,5 +281,5 @@ def _mujoco() -> Any:
         import mujoco
         import mujoco.rollout
     except ImportError as error:
-        raise ImportError("the blind check needs MuJoCo to play reality: pip install 'invdyn[robots]'") from error
+        raise ImportError("the blind check needs MuJoCo to simulate reality: pip install 'invdyn[robots]'") from error
     return mujoco

@@ -9,7 +9,7 @@ import numpy as np
 
 from invdyn.models import Body, Tree
 
-EARTH = 9.81
+STANDARD_GRAVITY = 9.81
 
 
 class Stretched(NamedTuple):
@@ -52,6 +52,6 @@ def reach(body: Body | Tree) -> float:
 
 
 def pendulum_frequency(body: Body | Tree) -> float:
-    """Hz, of the body hanging straight from its first joint, under 9.81 m/s² whatever acts."""
+    """Hz, of the body hanging straight from its first joint, under 9.81 m/s² in any case."""
     mass, far, inertia = stretched(body)
-    return float(np.sqrt(EARTH * (mass * far).sum() / (inertia + mass * far**2).sum()) / (2 * np.pi))
+    return float(np.sqrt(STANDARD_GRAVITY * (mass * far).sum() / (inertia + mass * far**2).sum()) / (2 * np.pi))

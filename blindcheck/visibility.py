@@ -3,10 +3,10 @@
 Noise-free tips with and without the effect, in units of the noise: d′ = √Σ (Δp/σ)² over frames and coordinates. For
 an effect of the dynamics, the world without it replays the same commands. Once in a pendulum's period it is set back to
 the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
-for: nobody sees the state itself, nor a gear's play or a link's bend. With unknown torque only what no posture of
-the body could show counts; in space all that an effect of the observation changes. Encoders count where a setting says
-so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise with and without
-it.
+for: the state itself is not seen, nor the position within backlash or a link's bend. With unknown torque only what no
+posture of the body could show counts; in space all that an effect of the observation changes. Encoders count where a
+setting says so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise
+with and without it.
 """
 
 from collections.abc import Sequence
@@ -48,14 +48,14 @@ def visibility(
         if style is None or style.encoder is None or not (style.counted or each.name == "encoder_offset"):
             return points
         # angles as so many metres as they are as well known
-        told = readings(trajectory, stated / pace(effects), shown_by_sensors(effects))
-        angles = told * (noise / style.encoder)
+        read = readings(trajectory, stated / pace(effects), shown_by_sensors(effects))
+        angles = read * (noise / style.encoder)
         flat = points.reshape(len(stated), -1) if style.filmed else points[:, :0, 0]
         return np.concatenate([flat, angles], -1)[..., None]
 
     if each.name == "varying_noise":
-        quiet, loud = (tips(real, effects, noise) - tips(real, effects) for effects in (rest, present))
-        ratio = (loud / quiet) ** 2
+        without, with_effect = (tips(real, effects, noise) - tips(real, effects) for effects in (rest, present))
+        ratio = (with_effect / without) ** 2
         change = np.sqrt(ratio - 1 - np.log(ratio))
     elif regime == "unknown_torque" and each.name not in OBSERVATIONS:
         change = np.zeros(1)
@@ -67,14 +67,14 @@ def visibility(
     else:
         world, camera = partial(world_with, s.body, rest, s, engine), partial(shown, effects=rest)
         change = unlike_any_start(
-            _told(each, real), s.body, world, camera, shown(real, present), stated, noise, *engine.setting.thorough
+            _as_seen(each, real), s.body, world, camera, shown(real, present), stated, noise, *engine.setting.thorough
         )
     known = change[np.isfinite(change)]
     return float(np.sqrt((known**2).sum())), float(np.sqrt((known**2).mean())) if known.size else 0.0
 
 
-def _told(each: Present, real: Trajectory) -> Trajectory:
-    """The trajectory as it is seen: angles between links, whatever plays or bends in them, and by the told clock."""
+def _as_seen(each: Present, real: Trajectory) -> Trajectory:
+    """The trajectory as it is seen: angles between links with all their bending, by the recorded clock."""
     angle = np.diff(real.heading, axis=1, prepend=0.0)
     real = real._replace(q=angle, qd=np.gradient(angle, real.time, axis=0))
     if each.name != "clock_rate":

@@ -1,4 +1,4 @@
-"""The process that diagnoses: started by `python -m invdyn.blindcheck.worker`, it is told of one case at a time.
+"""The process that diagnoses: started by `python -m invdyn.blindcheck.worker`, it reads one case at a time.
 
 It shares nothing with the process that knows the answers but two pipes. A line in: {"case": folder, "out": folder,
 "without": [effects]}; a line back: {"seconds": …} or {"error": text}. What it reads is the case's folder.
@@ -55,14 +55,14 @@ def serve(jobs: Iterable[str], reply: Callable[[dict], None]) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process once its parent is gone, in the middle of a case too: nobody would read the answer."""
+    """End this process once its parent is gone, in the middle of a case too, as its answer would not be read."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
 
 
 def main() -> None:
-    """Serve stdin. Whatever prints does so to stderr: stdout is the pipe for replies."""
+    """Serve stdin. All printing goes to stderr: stdout is the pipe for replies."""
     Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

@@ -37,9 +37,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             found.setdefault(item.nodeid.removesuffix(f"[{case}]"), set(mark.args)).difference_update(here)
             if not here:
                 item.add_marker("long")
-    if not any("::" in argument for argument in config.args):
-        wrong = {test: names for test, names in found.items() if names}
-        assert not wrong, f"quick names cases that are not there: {wrong}"
+    wrong = [f"{test}: {', '.join(sorted(names))}" for test, names in found.items() if names]
+    if wrong and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"expected cases in the mark quick, got other names: {'; '.join(wrong)}")
     items.sort(key=lambda item: item.path.parent.name != "notebooks")
 
 
@@ -81,18 +81,18 @@ def _seeded():
 @pytest.fixture
 def fine_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The blind check's reality in steps of .2 ms at most: its own errors stay below what a test measures."""
-    monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 2e-4)
+    monkeypatch.setattr("invdyn.blindcheck.simulator.MAX_STEP", 2e-4)
 
 
 @pytest.fixture
 def coarse_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The blind check's reality in steps of a millisecond, half as many: no longer true to the micrometre."""
-    monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 1e-3)
+    monkeypatch.setattr("invdyn.blindcheck.simulator.MAX_STEP", 1e-3)
 
 
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch, coarse_steps: None) -> None:
-    """Cases that hardly show are not drawn anew for long, d′ is soon settled: whole they are all the same."""
-    monkeypatch.setattr("invdyn.blindcheck.cases.TRIES", 2)
-    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.STEPS", 1)
-    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.DOUBLED", 0)
+    """Cases that hardly show are not drawn again for long, d′ is soon settled: whole they are all the same."""
+    monkeypatch.setattr("invdyn.blindcheck.cases.MAX_DRAWS", 2)
+    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.MAX_GAUSS_NEWTON_STEPS", 1)
+    monkeypatch.setattr("invdyn.blindcheck.initial_state_fit.MAX_WINDOW_DOUBLINGS", 0)

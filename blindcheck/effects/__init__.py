@@ -1,4 +1,4 @@
-"""The effects that the blind check plays, one beside its size and units; `EFFECTS` has them all by name."""
+"""The effects that the blind check simulates, each with its size and units; `EFFECTS` has them all by name."""
 
 # in this order cases draw them
 from invdyn.blindcheck.effects import joints, inertia, motors, disturbances, sensors  # isort: skip

@@ -88,7 +88,7 @@ def base_motion(world: World, amplitude_x: float, amplitude_y: float, frequency:
 
 
 def _link_flexibility(rng: np.random.Generator, s: Scene, link: int, a: float) -> dict:
-    # inertia beyond the middle of the link, outstretched; weak is stiffer: the bend goes with 1/k
+    # inertia beyond the middle of the link, outstretched; weak is stiffer: the bend is proportional to 1/k
     far, inertia = -s.body.links[link].nominal("length") / 2, 0.0
     for n, each in enumerate(s.body.links[link:]):
         share = 0.5 if n == 0 else 1.0

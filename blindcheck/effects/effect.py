@@ -1,8 +1,8 @@
-"""An effect as the blind check plays it: where it acts, its units, how large it is drawn, and what installs it.
+"""An effect as the blind check simulates it: where it acts, its units, how large it is drawn, and what installs it.
 
-A mechanism of the dynamics is one function with the decorator :func:`mechanism` above it; what sensors show is told by
-:func:`sight`, and played by `camera` and `encoders`. All of them are gathered in `EFFECTS`, in the order in which they
-are told.
+A mechanism of the dynamics is one function with the decorator :func:`mechanism`. An effect on what sensors show is
+declared by :func:`sensor_effect`, and `camera` and `encoders` simulate it. `EFFECTS` has all, in the order of
+declaration.
 """
 
 from collections.abc import Callable, Mapping
@@ -52,6 +52,8 @@ def mechanism(*, units: Mapping[str, str], size: Size, site: str = "joint", need
     return tell
 
 
-def sight(name: str, *, units: Mapping[str, str], size: Size, site: str = "arm", needs: tuple[str, ...] = ()) -> None:
-    """Tell of an effect on what sensors show."""
+def sensor_effect(
+    name: str, *, units: Mapping[str, str], size: Size, site: str = "arm", needs: tuple[str, ...] = ()
+) -> None:
+    """Declare an effect on what sensors show."""
     EFFECTS[name] = Injected(name, site, units, size, None, needs)

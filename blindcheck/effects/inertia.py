@@ -1,4 +1,4 @@
-"""Inertia and gravity that differ: an inertial in place of the link's own, gravity turned, a rotor. SI units."""
+"""Inertia and gravity that differ: an inertial in place of the link's own, rotated gravity, a rotor. SI units."""
 
 import numpy as np
 
@@ -44,7 +44,7 @@ def _gravity_tilt(rng: np.random.Generator, s: Scene, place: int, a: float) -> d
 
 @mechanism(site="arm", units={"angle": "rad"}, needs=("gravity",), size=_gravity_tilt)
 def gravity_tilt(world: World, angle: float) -> None:
-    """Gravity turned counter-clockwise."""
+    """Gravity rotated counter-clockwise."""
     x, y, z = world.gravity
     world.gravity = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
 

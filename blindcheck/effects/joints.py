@@ -1,6 +1,6 @@
 """Forces of joints: friction, drag, springs, stops. Each function installs one effect in a `World`, in MuJoCo's terms.
 
-Where MuJoCo has the effect, its own part plays it; else a force is applied at every step. Joints count from 0.
+Where MuJoCo has the effect, its own part simulates it; else a force is applied at every step. Joints count from 0.
 
     viscous, coulomb             dof_damping, dof_frictionloss
     stribeck, load friction      dof_frictionloss rewritten every step, so that sticking stays MuJoCo's own; Stribeck's
@@ -16,7 +16,7 @@ from invdyn.blindcheck.effects.effect import mechanism
 from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.nonideal_mechanisms import bristles
-from invdyn.blindcheck.scene import NONIDEAL, Scene, sign
+from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, sign
 from invdyn.blindcheck.simulator import World
 
 
@@ -44,7 +44,7 @@ def _stribeck_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> 
     coulomb = a * between(rng, 0.03, 0.1) * s.torque[k]
     static = coulomb * rng.uniform(1.5, 3.0)
     level = {"coulomb": coulomb, "static": static, "velocity": rng.uniform(0.2, 0.6) * s.speed[k]}
-    if rng.random() > NONIDEAL:
+    if rng.random() > NONIDEAL_FRACTION:
         return level
     stiffness = static / between(rng, 3e-4, 3e-3)  # bent by so many radians it slips
     damping = 2 * rng.uniform(0.3, 0.8) * np.sqrt(stiffness * s.inertia[k])

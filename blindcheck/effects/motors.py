@@ -1,6 +1,6 @@
 """What motors make of a command: MuJoCo's gear, filter and force range, or the command changed on its way.
 
-backlash     a rotor of its own inertia (taken from the link's, so that with no play nothing changes) and a second
+backlash     a rotor of its own inertia (taken from the link's, so that with a gap of zero nothing changes) and a second
 hinge with stops ±width/2
 """
 
@@ -15,7 +15,7 @@ from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, natural_hz, sign
 from invdyn.blindcheck.simulator import Segment, World
 
-ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is play between motor and link
+ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is backlash between motor and link
 
 
 def _actuator_gain(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -44,7 +44,7 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
         whole, part = divmod(delay / step, 1.0)
         if len(ring) > whole + 2:
             ring.popleft()
-        # the mean over the step of what was held: a delay need not be a multiple of the step
+        # the mean over the step of the constant commands: a delay need not be a multiple of the step
         late = [ring[max(len(ring) - 1 - int(whole) - back, 0)] for back in (0, 1)]
         return np.where(np.arange(len(u)) == joint, (1 - part) * late[0] + part * late[1], u)
 
@@ -96,7 +96,7 @@ def _backlash(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
 
 @mechanism(units={"width": "rad"}, needs=("command",), size=_backlash)
 def backlash(world: World, joint: int, width: float) -> None:
-    """Play of so much in all between the motor, with a rotor's inertia, and the link."""
+    """Backlash of this total width between the motor, with a rotor's inertia, and the link."""
     place = world.hinge(joint)
     link = world.segments[place]
     rotor = ROTOR_SHARE * link.inertia

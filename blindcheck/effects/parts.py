@@ -31,7 +31,7 @@ def applied(world: World, joint: int, torque: Callable[[float, np.ndarray, np.nd
 
     def act(t: float, model: Any, data: Any) -> None:
         driven = [world.hinge(k) for k in range(world.num_joints)]
-        # the force is held over the step, so it is taken at the middle, from the last acceleration
+        # the force is constant over the step, so it is taken at the middle, from the last acceleration
         half = model.opt.timestep / 2
         q, qd = data.qpos[driven] + half * data.qvel[driven], data.qvel[driven] + half * data.qacc[driven]
         data.qfrc_applied[driven[joint]] += torque(t + half, q, qd)

@@ -1,15 +1,15 @@
-"""How large the effects are that sensors show (`camera` and `encoders` play them): names, units and draws."""
+"""How large the effects are that sensors show (`camera` and `encoders` simulate them): names, units and draws."""
 
 import numpy as np
 
-from invdyn.blindcheck.effects.effect import sight
+from invdyn.blindcheck.effects.effect import sensor_effect
 from invdyn.blindcheck.motion import between
-from invdyn.blindcheck.scene import NONIDEAL, Scene, natural_hz, sign
+from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, natural_hz, sign
 
 
 def _centre(rng: np.random.Generator, s: Scene) -> dict:
     """Where the camera looks, if not at the origin: of an arm with one link, that would make another twin of it."""
-    if s.body.num_joints == 1 or rng.random() > NONIDEAL:
+    if s.body.num_joints == 1 or rng.random() > NONIDEAL_FRACTION:
         return {}
     return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
 
@@ -18,7 +18,9 @@ def _encoder_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dic
     return {"offset": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 4.0))}
 
 
-sight("encoder_offset", site="joint", units={"offset": "rad"}, needs=("clock", "encoders"), size=_encoder_offset)
+sensor_effect(
+    "encoder_offset", site="joint", units={"offset": "rad"}, needs=("clock", "encoders"), size=_encoder_offset
+)
 
 
 def _keypoint_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -26,39 +28,39 @@ def _keypoint_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> di
     return {"along": size * np.cos(angle), "across": size * np.sin(angle)}
 
 
-sight("keypoint_offset", site="keypoint", units={"along": "m", "across": "m"}, size=_keypoint_offset)
+sensor_effect("keypoint_offset", site="keypoint", units={"along": "m", "across": "m"}, size=_keypoint_offset)
 
 
 def _soft_tissue(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     second = np.gradient(np.gradient(s.motion.points[:, k + 1], s.motion.time, axis=0), s.motion.time, axis=0)
     rms = np.sqrt((second**2).sum(-1).mean())
     kappa = a * rng.uniform(0.02, 0.05) * s.body.links[k].nominal("length") / rms
-    return {"kappa": kappa} | ({"damping_ratio": rng.uniform(0.1, 0.6)} if rng.random() < NONIDEAL else {})
+    return {"kappa": kappa} | ({"damping_ratio": rng.uniform(0.1, 0.6)} if rng.random() < NONIDEAL_FRACTION else {})
 
 
-sight("soft_tissue", site="keypoint", units={"kappa": "s²", "damping_ratio": "1"}, size=_soft_tissue)
+sensor_effect("soft_tissue", site="keypoint", units={"kappa": "s²", "damping_ratio": "1"}, size=_soft_tissue)
 
 
 def _camera_scale(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"scale": 1 + a * sign(rng) * rng.uniform(0.02, 0.08)}
 
 
-sight("camera_scale", units={"scale": "1"}, size=_camera_scale)
+sensor_effect("camera_scale", units={"scale": "1"}, size=_camera_scale)
 
 
 def _camera_roll(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"angle": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 3.0))}
 
 
-sight("camera_roll", units={"angle": "rad"}, needs=("gravity",), size=_camera_roll)
+sensor_effect("camera_roll", units={"angle": "rad"}, needs=("gravity",), size=_camera_roll)
 
 
 def _camera_yaw(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
-    turned = {"angle": a * sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
-    return turned | _centre(rng, s)
+    view = {"angle": a * sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
+    return view | _centre(rng, s)
 
 
-sight(
+sensor_effect(
     "camera_yaw",
     units={"angle": "rad", "distance": "m", "centre_x": "m", "centre_y": "m"},
     size=_camera_yaw,
@@ -69,21 +71,21 @@ def _lens_distortion(rng: np.random.Generator, s: Scene, place: int, a: float) -
     return {"k1": a * sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2} | _centre(rng, s)
 
 
-sight("lens_distortion", units={"k1": "m⁻²", "centre_x": "m", "centre_y": "m"}, size=_lens_distortion)
+sensor_effect("lens_distortion", units={"k1": "m⁻²", "centre_x": "m", "centre_y": "m"}, size=_lens_distortion)
 
 
 def _clock_rate(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"rate": np.exp(a * sign(rng) * rng.uniform(0.05, 0.22))}
 
 
-sight("clock_rate", units={"rate": "1"}, needs=("clock",), size=_clock_rate)
+sensor_effect("clock_rate", units={"rate": "1"}, needs=("clock",), size=_clock_rate)
 
 
 def _camera_latency(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"latency": a * np.clip(rng.uniform(0.01, 0.06) / natural_hz(s), 0.005, 0.06)}
 
 
-sight(
+sensor_effect(
     "camera_latency",
     units={"latency": "s"},
     needs=(
@@ -98,7 +100,7 @@ def _rolling_shutter(rng: np.random.Generator, s: Scene, place: int, a: float) -
     return {"readout": a * sign(rng) * np.clip(rng.uniform(0.01, 0.03) / natural_hz(s), 0.003, 0.03) / s.reach}
 
 
-sight("rolling_shutter", units={"readout": "s/m"}, size=_rolling_shutter)
+sensor_effect("rolling_shutter", units={"readout": "s/m"}, size=_rolling_shutter)
 
 
 def _timestamp_jitter(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
@@ -108,7 +110,7 @@ def _timestamp_jitter(rng: np.random.Generator, s: Scene, place: int, a: float) 
     }
 
 
-sight("timestamp_jitter", units={"rate": "1", "sd": "s"}, size=_timestamp_jitter)
+sensor_effect("timestamp_jitter", units={"rate": "1", "sd": "s"}, size=_timestamp_jitter)
 
 
 def _outliers(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
@@ -118,14 +120,14 @@ def _outliers(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     }
 
 
-sight("outliers", units={"rate": "1", "scale": "m"}, size=_outliers)
+sensor_effect("outliers", units={"rate": "1", "scale": "m"}, size=_outliers)
 
 
 def _label_swap(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"rate": a * between(rng, 0.01, 0.05)}
 
 
-sight("label_swap", site="keypoint", units={"rate": "1"}, needs=("two joints",), size=_label_swap)
+sensor_effect("label_swap", site="keypoint", units={"rate": "1"}, needs=("two joints",), size=_label_swap)
 
 
 def _varying_noise(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
@@ -136,4 +138,4 @@ def _varying_noise(rng: np.random.Generator, s: Scene, place: int, a: float) -> 
     }
 
 
-sight("varying_noise", units={"slope": "s/m"}, size=_varying_noise)
+sensor_effect("varying_noise", units={"slope": "s/m"}, size=_varying_noise)

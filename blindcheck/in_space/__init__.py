@@ -1,1 +1,1 @@
-"""Reality in space: trees of hinges that MuJoCo plays, with the effects of the plane that have a meaning there."""
+"""Reality in space: trees of hinges that MuJoCo simulates, with the effects of the plane that have a meaning there."""

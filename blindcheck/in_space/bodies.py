@@ -1,7 +1,7 @@
 """Random trees of hinges in space, what is recorded of them, and how they move.
 
 Three to seven hinges, reaching .3 to 1.6 m, mass ∝ reach² as in the plane. The first turns about the vertical, or about
-a level axis. Each link is a slab from one joint to the next, off its axes by some, and carries a marker beside its far
+a level axis. Each link is a slab from one joint to the next, off its axes by some, and carries a marker near its far
 end, so that turns about the link's own axis show as well. One body in four has a branch. Of two with seven joints one
 is like Franka's Panda: the joints of its data sheet (Denavit and Hartenberg's modified table; Franka Emika, "Robot and
 interface specifications", 2017), masses in the proportions that Gaz and others identified (IEEE RA-L 4, 2019).
@@ -24,7 +24,7 @@ from invdyn.blindcheck.effects.parts import set_part
 from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.motion import Habits, between
 from invdyn.blindcheck.setting import Setting, Style
-from invdyn.blindcheck.stretched import EARTH, pendulum_frequency, reach, stretched
+from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency, reach, stretched
 from invdyn.models import Tree
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
 from invdyn.models.bodies.inertia import six
@@ -40,10 +40,11 @@ MOTORS = {"actuator_gain", "actuator_saturation", "actuator_deadzone", "hot_moto
 """Effects that mean something else of a servo."""
 DAMPED = {"viscous_friction", "drifting_friction"}
 """Effects whose size is another one where the joint is damped already."""
-MEASURED = 0.02
-FASTEST_SERVO = 10.0
+MASS_ERROR = 0.02
+"""Standard error of a link's stated mass, as a fraction."""
+MAX_SERVO_FREQUENCY = 10.0
 """Hz, of a joint with its servo's spring."""
-SETTLED = 12
+SETTLING_PERIODS = 12
 """Periods of its pendulum in which a damped body comes to hang."""
 RIGHT = np.pi / 2
 PANDA = [Row(0, 0, 0.333), Row(0, -RIGHT, 0), Row(0, RIGHT, 0.316), Row(0.0825, RIGHT, 0)]
@@ -62,8 +63,8 @@ def _slab(rng: np.random.Generator, mass: float, end: np.ndarray) -> tuple[np.nd
     along, _ = Rotation.align_vectors([end if np.linalg.norm(end) else [1, 0, 0]], [[1, 0, 0]])
     turn = (Rotation.from_rotvec(rng.normal(0.0, 0.15, 3)) * along).as_matrix()
     # second moments of what mass there is along, across and through: any of them are a body that can be
-    spread = np.array([rng.uniform(0.06, 0.1), rng.uniform(0.005, 0.02), rng.uniform(0.005, 0.02)])
-    second = turn @ np.diag(mass * length**2 * spread) @ turn.T
+    shape = np.array([rng.uniform(0.06, 0.1), rng.uniform(0.005, 0.02), rng.uniform(0.005, 0.02)])
+    second = turn @ np.diag(mass * length**2 * shape) @ turn.T
     return com, np.trace(second) * np.eye(3) - second
 
 
@@ -125,12 +126,12 @@ def _panda_like(rng: np.random.Generator) -> Tree:
 
 
 def with_servos(rng: np.random.Generator, tree: Tree) -> Tree:
-    """Position servos at all joints: as stiff as carries what hangs on them, but no faster than `FASTEST_SERVO`."""
+    """Position servos at all joints: stiff enough for the load, at most `MAX_SERVO_FREQUENCY`."""
     posture = rng.uniform(-1.0, 1.0, tree.num_joints)
     turning = 1 / np.linalg.inv(World(tree).inertia(posture)).diagonal()
     links = []
     for link, load, inertia in zip(tree.links, _loads(tree), turning, strict=True):
-        stiffness = min(load / rng.uniform(0.05, 0.2), inertia * (2 * np.pi * FASTEST_SERVO) ** 2)
+        stiffness = min(load / rng.uniform(0.05, 0.2), inertia * (2 * np.pi * MAX_SERVO_FREQUENCY) ** 2)
         damping = 2 * rng.uniform(0.3, 0.7) * np.sqrt(stiffness * inertia)
         gains = float(f"{stiffness:.4g}"), float(f"{damping:.4g}")
         motor = Motor("position", gain=gains[0], stiffness=gains[0], damping=gains[1])
@@ -151,19 +152,19 @@ def with_damping(rng: np.random.Generator, tree: Tree) -> Tree:
 
 def _measured(rng: np.random.Generator, tree: Tree) -> Tree:
     """The tree as its file has it: masses known to 2 %, and said so."""
-    off = [float(f"{nominal(link.mass) * np.exp(MEASURED * rng.standard_normal()):.4g}") for link in tree.links]
-    links = [replace(link, mass=prior(mass, MEASURED * mass)) for link, mass in zip(tree.links, off, strict=True)]
+    off = [float(f"{nominal(link.mass) * np.exp(MASS_ERROR * rng.standard_normal()):.4g}") for link in tree.links]
+    links = [replace(link, mass=prior(mass, MASS_ERROR * mass)) for link, mass in zip(tree.links, off, strict=True)]
     return replace(tree, links=links)
 
 
 def _loads(tree: Tree) -> list[float]:
-    """By joint, N·m: what hangs on it, held level."""
+    """By joint, N·m: the weight of all that hangs on it, outstretched horizontally."""
     mass, far, inertia = stretched(tree)
     loads = []
     for place in range(len(tree.links)):
         carried = [k for k in range(len(tree.links)) if place in _inwards(tree, k)]
         arm = np.maximum(far[carried] - far[place], 0.0) + np.sqrt(inertia[place] / mass[place])
-        loads.append(EARTH * float((mass[carried] * arm).sum()))
+        loads.append(STANDARD_GRAVITY * float((mass[carried] * arm).sum()))
     return loads
 
 
@@ -203,14 +204,14 @@ def style(rng: np.random.Generator, names: Sequence[str]) -> Style:
 
 
 def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[[Tree], World]) -> np.ndarray:
-    """Anywhere, or about the Panda's usual pose; a passive body is let go beside where it hangs."""
+    """Anywhere, or about the Panda's usual pose; a passive body is released near where it hangs."""
     anywhere = rng.uniform(-1.2, 1.2, body.num_joints)
     if np.allclose(body.parameters().position[1].numpy(), 0.0):  # as no random tree's second joint is
         anywhere = np.array(PANDA_MIDDLE) + rng.uniform(-0.3, 0.3, body.num_joints)
     if not passive:
         return anywhere
     mass, far, inertia = stretched(body)
-    period = 2 * np.pi * np.sqrt(far.max() / EARTH)
+    period = 2 * np.pi * np.sqrt(far.max() / STANDARD_GRAVITY)
     damping = float((inertia + mass * far**2).sum()) * 2 * np.pi / period / np.arange(1, body.num_joints + 1) ** 2
     world = made(body)
 
@@ -219,7 +220,7 @@ def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[
             set_part(spec.joint(f"joint{k}"), {"damping": each})
 
     world.on_spec(damped)
-    time, still = np.linspace(0.0, SETTLED * period, 40), np.zeros(body.num_joints)
+    time, still = np.linspace(0.0, SETTLING_PERIODS * period, 40), np.zeros(body.num_joints)
     hanging = world.run(time, lambda row, t, q, qd: still, anywhere, still).q[-1]
     return hanging + rng.uniform(0.3, 0.8, body.num_joints) * rng.choice([-1, 1], body.num_joints)
 

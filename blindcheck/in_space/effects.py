@@ -2,7 +2,7 @@
 
 payload          a point mass at the body's tip: the hand's site that lies farthest out
 inertial error   mass, centre of mass in the link's frame, and all moments by one factor, their mean by so much
-gravity tilt     gravity turned by a rotation vector about the two level axes
+gravity tilt     gravity rotated by a rotation vector about the two level axes
 """
 
 import numpy as np
@@ -79,7 +79,7 @@ def _gravity_tilt(rng: np.random.Generator, s: Scene, place: int, a: float) -> d
 
 
 def gravity_tilt(world: World, about_x: float, about_y: float) -> None:
-    """Gravity, which points along z, turned by a rotation vector."""
+    """Gravity, which points along z, rotated by a rotation vector."""
     world.gravity = Rotation.from_rotvec([about_x, about_y, 0.0]).apply(world.gravity)
 
 

@@ -1,4 +1,4 @@
-"""Reality in space as MuJoCo plays it: a tree of hinges, commanded torques or position servos, sites on its links.
+"""Reality in space as MuJoCo simulates it: a tree of hinges, commanded torques or position servos, sites on its links.
 
 Steps, solver, hooks and motors are those of the plane (:mod:`..simulator`), and so are the mechanisms at joints. A
 piece's frame is the link's of :class:`invdyn.models.Tree`. A position servo's command is the torque that its target
@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck import simulator
 from invdyn.blindcheck.effects.parts import set_part
-from invdyn.blindcheck.simulator import LONGEST_STEP
+from invdyn.blindcheck.simulator import MAX_STEP
 from invdyn.models import Tree
 from invdyn.models.bodies.inertia import six, tensor
 
-REPLAYED = 2e-3
+MAX_REPLAY_STEP = 2e-3
 """s, longest step of a replay for d′ in which nothing jumps: moves no site by more than a hundredth of the noise."""
 
 
@@ -110,7 +110,7 @@ class World(simulator.World):
     def _longest_step(self, replayed: bool) -> float:
         """A replay for d′ of a world in which nothing jumps takes longer steps."""
         smooth = not self._step_hooks and not self.model.dof_frictionloss.any()
-        return REPLAYED if replayed and smooth else LONGEST_STEP
+        return MAX_REPLAY_STEP if replayed and smooth else MAX_STEP
 
     def _seen(self, time: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The world's origin and the sites (N+1, P+1, 3); headings run on from joint to joint."""

@@ -1,4 +1,4 @@
-"""A second generator of reality beside MuJoCo: Pinocchio's dynamics, our own integrator, other forms of each effect.
+"""A second generator of reality: Pinocchio's dynamics, our own integrator, other forms of each effect.
 
 What is tuned to one generator shows on the other. Nothing here knows the effects of `invdyn.models`, either.
 """

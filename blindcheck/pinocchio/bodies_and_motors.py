@@ -1,6 +1,6 @@
 """Links, loads and motors in other forms. SI units, radians.
 
-play          a gear that is slack over its width and springs beyond, with a rotor of its own share of the inertia
+backlash      a gear that is slack over its width and springs beyond, with a rotor of its own share of the inertia
 bending       a sprung hinge anywhere in the middle fifth of a link, or two of them at its thirds
 delay         between two rows by interpolation: of delay/interval = n + f,  (1 − f) u[c − n] + f u[c − n − 1]
 saturation    hard, or round: u / (1 + |u/u_max|^p)^(1/p)
@@ -17,7 +17,7 @@ from invdyn.blindcheck.pinocchio.forms import form
 from invdyn.blindcheck.pinocchio.simulator import World
 from invdyn.blindcheck.scene import Scene, natural_hz
 
-SHAKE = 2 * np.pi * 60.0
+ROTOR_SHAKE_RATE = 2 * np.pi * 60.0
 """rad/s, at which a rotor shakes on its gear's teeth, or more."""
 
 
@@ -39,7 +39,7 @@ def inertial_error(world: World, link: int, mass: float, com: float, inertia: fl
 
 @form()
 def gravity_tilt(world: World, angle: float) -> None:
-    """Gravity turned counter-clockwise."""
+    """Gravity rotated counter-clockwise."""
     x, y = world.gravity
     world.gravity = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
 
@@ -110,15 +110,15 @@ def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0)
     world.shape(joint, of)
 
 
-def _play(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+def _backlash(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
     share = float(rng.uniform(0.35, 0.65))
     rotor = share * s.body.links[k].nominal("inertia")
-    stiffness = max(rotor * max(SHAKE, 30 * natural_hz(s)) ** 2, 20 * s.torque[k] / p["width"])
+    stiffness = max(rotor * max(ROTOR_SHAKE_RATE, 30 * natural_hz(s)) ** 2, 20 * s.torque[k] / p["width"])
     damping = 2 * rng.uniform(0.1, 0.4) * np.sqrt(stiffness * rotor)
     return p | {"rotor_share": share, "gear_stiffness": float(stiffness), "gear_damping": float(damping)}
 
 
-@form(_play)
+@form(_backlash)
 def backlash(
     world: World, joint: int, width: float, rotor_share: float, gear_stiffness: float, gear_damping: float
 ) -> None:
@@ -161,7 +161,7 @@ def link_flexibility(
     place = next(s for s, piece in enumerate(world.pieces) if piece.tip == link)
     ends = [0.0, 1 / 3, 2 / 3, 1.0] if stiffness is None else [0.0, position, 1.0]
     k, d = (each_stiffness, each_damping) if stiffness is None else (stiffness, damping)
-    pieces = _cut(world.pieces[place], ends)
+    pieces = cut(world.pieces[place], ends)
     world.pieces[place : place + 1] = pieces
 
     def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
@@ -175,15 +175,15 @@ def link_flexibility(
     world.resolve(lambda mobility: 2 * np.sqrt(k / about))
 
 
-def _cut(whole: Piece, ends: list[float]) -> list[Piece]:
+def cut(whole: Piece, ends: list[float]) -> list[Piece]:
     """Pieces of a link between shares of its length, uniform as far as its inertia allows."""
     shares = np.diff(ends)
     middles = (np.array(ends[1:]) + ends[:-1]) / 2
     from_centre = (middles - (shares * middles).sum()) * whole.length
     # centres as far apart as a uniform rod's, nearer where the link has less inertia
-    spread = whole.mass * (shares * from_centre**2).sum()
-    nearer = min(1.0, np.sqrt(0.8 * whole.inertia / spread))
-    rest = (whole.inertia - nearer**2 * spread) * shares**3 / (shares**3).sum()
+    moment = whole.mass * (shares * from_centre**2).sum()
+    nearer = min(1.0, np.sqrt(0.8 * whole.inertia / moment))
+    rest = (whole.inertia - nearer**2 * moment) * shares**3 / (shares**3).sum()
     pieces = [
         Piece(length, share * whole.mass, whole.com + nearer * off - start, inertia)
         for length, share, off, start, inertia in zip(

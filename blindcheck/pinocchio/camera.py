@@ -3,12 +3,12 @@
 A frame stamped t shows, through the effects that are present and in this order,
 
     when     t' = t − δ + ρ y + jitter: a share of frames mistimed, by a normal or a uniform law of the same sd
-    marker   beside its point on the link; on tissue that follows as a spring and a damper of its own (damping ratio
+    marker   near its point on the link; on tissue that follows as a spring and a damper of its own (damping ratio
              .7 to 1.5), κ z̈ + 2 ζ √κ ż + z = −κ p̈, stepped from rest
-    optics   turned in space about an upright axis and seen by a pinhole at a distance; rolled; scaled; a lens by
+    optics   rotated in space about an upright axis and seen by a pinhole at a distance; rolled; scaled; a lens by
              r (1 + k₁ r²), or by the division model r / (1 − k₁ r²) (Fitzgibbon, CVPR 2001)
     tracker  noise by one of `LAWS`, perhaps σ √(1 + (slope |v|)²); labels exchanged for one to four frames in a row;
-             stray detections likewise for one to three, about the point or anywhere near the arm
+             outliers likewise for one to three, about the point or anywhere near the arm
 
 Every effect draws from a stream of its own. Shapes: T frames, P = K + 1 points, the base and the K tips.
 """
@@ -122,11 +122,11 @@ def _optics(points: np.ndarray, present: Mapping) -> np.ndarray:
         flat = points - centre
         in_space = np.concatenate([flat, np.zeros_like(flat[..., :1])], axis=-1)
         c, s = np.cos(p["angle"]), np.sin(p["angle"])
-        turned = in_space @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        points = centre + p["distance"] * turned[..., :2] / (p["distance"] + turned[..., 2:])
+        rotated = in_space @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        points = centre + p["distance"] * rotated[..., :2] / (p["distance"] + rotated[..., 2:])
     if "camera_roll" in present:
-        turned = (points[..., 0] + 1j * points[..., 1]) * np.exp(1j * present["camera_roll"][1]["angle"])
-        points = np.stack([turned.real, turned.imag], axis=-1)
+        rolled = (points[..., 0] + 1j * points[..., 1]) * np.exp(1j * present["camera_roll"][1]["angle"])
+        points = np.stack([rolled.real, rolled.imag], axis=-1)
     if "camera_scale" in present:
         points = present["camera_scale"][1]["scale"] * points
     if "lens_distortion" in present:
@@ -165,12 +165,12 @@ def _mistaken(points: np.ndarray, present: Mapping, stream: Callable[[str], np.r
         points[swapped, one], points[swapped, other] = points[swapped, other], points[swapped, one]
     if "outliers" in present:
         p, rng = present["outliers"][1], stream("outliers")
-        stray = _in_a_row(rng, points.shape[:2], p["rate"], p["in_a_row"])
+        outlying = _in_a_row(rng, points.shape[:2], p["rate"], p["in_a_row"])
         if "scale" in p:
-            points += stray[..., None] * p["scale"] * rng.standard_normal(points.shape)
+            points += outlying[..., None] * p["scale"] * rng.standard_normal(points.shape)
         else:
             anywhere = points[:, :1] + rng.uniform(-p["within"], p["within"], points.shape)
-            points = np.where(stray[..., None], anywhere, points)
+            points = np.where(outlying[..., None], anywhere, points)
     return points
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.stretched import EARTH
+from invdyn.blindcheck.stretched import STANDARD_GRAVITY
 from invdyn.models import Body
 
 
@@ -47,7 +47,7 @@ class Chain:
             length, mass, com, inertia = (link.nominal(key) for key in ("length", "mass", "com", "inertia"))
             convention = (-1.0, np.pi) if k else (1.0, -np.pi / 2)
             self.pieces.append(Piece(length, mass, com, inertia, k, k, *convention))
-        self.rotors: dict[int, float] = {}  # joint → kg·m² beside the links'
+        self.rotors: dict[int, float] = {}  # joint → kg·m² in addition to the links'
         self.model: Any = None
 
     @property
@@ -73,11 +73,11 @@ class Chain:
         pin = self.pin
         model, parent, offset = pin.Model(), 0, np.zeros(3)
         for s, piece in enumerate(self.pieces):
-            turned = np.array(
+            rotation = np.array(
                 [[np.cos(piece.zero), 0, -np.sin(piece.zero)], [0, 1, 0], [np.sin(piece.zero), 0, np.cos(piece.zero)]]
             )
             hinge = pin.JointModelRevoluteUnaligned(np.array([0.0, -piece.sign, 0.0]))
-            parent = model.addJoint(parent, hinge, pin.SE3(turned, offset), f"hinge{s}")
+            parent = model.addJoint(parent, hinge, pin.SE3(rotation, offset), f"hinge{s}")
             about = np.eye(3) * max(piece.inertia, 1e-14)  # about x and z nothing turns
             model.appendBodyToJoint(
                 parent, pin.Inertia(piece.mass, np.array([piece.com, 0.0, 0.0]), about), pin.SE3.Identity()
@@ -129,7 +129,7 @@ class Chain:
         beyond = masses * coms + lengths * (masses.sum() - np.cumsum(masses))
         straight = np.where(np.arange(len(lengths)) == 0, -np.pi / 2, 0.0)
         absolute = np.tril(np.ones((len(lengths), len(lengths))))  # headings of hinge angles
-        stiffness = EARTH * absolute.T @ np.diag(beyond) @ absolute
+        stiffness = STANDARD_GRAVITY * absolute.T @ np.diag(beyond) @ absolute
         driven = [s for s in range(len(lengths)) if self.pieces[s].joint is not None]
         pick = np.ix_(driven, driven)
         square = np.linalg.eigvals(np.linalg.solve(self.inertia(straight)[pick], stiffness[pick])).real.max()

@@ -56,7 +56,7 @@ def _jitter(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
     return p if rng.random() < 0.5 else p | {"uniform": 1.0}
 
 
-def _strays(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
+def _outliers(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
     p = p | {"in_a_row": float(rng.integers(1, 4))}
     return p if rng.random() < 0.5 else {key: v for key, v in p.items() if key != "scale"} | {"within": 1.2 * s.reach}
 
@@ -73,7 +73,7 @@ DRAWS.update(
     soft_tissue=_soft_tissue,
     lens_distortion=_lens,
     timestamp_jitter=_jitter,
-    outliers=_strays,
+    outliers=_outliers,
     label_swap=_swaps,
     varying_noise=_growing_noise,
 )

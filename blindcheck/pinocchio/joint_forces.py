@@ -69,7 +69,7 @@ def quadratic_drag(world: World, joint: int, drag: float) -> None:
 
 @form()
 def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: float) -> None:
-    """A spring that rests at an angle from hanging, or between the links."""
+    """A spring with its equilibrium at an angle from hanging, or between the links."""
     rest = world.own(joint, rest_angle)
     world.torque(joint, lambda t, q, v: -stiffness * (q - rest))
 

@@ -1,4 +1,4 @@
-"""Reality as Pinocchio's equations and our own integrator play it: the second generator, a `Chain` that moves.
+"""Reality as Pinocchio's equations and our own integrator simulate it: the second generator, a `Chain` that moves.
 
 Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, Springer 2008, ch. 7) as Pinocchio has it
 (Carpentier et al., IEEE SII 2019), and the classical Runge–Kutta method of order 4 in steps of at most 2 ms, or of a
@@ -16,14 +16,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from invdyn.blindcheck.pinocchio.chain import Chain
-from invdyn.blindcheck.simulator import FASTEST, Trajectory, even_steps
+from invdyn.blindcheck.simulator import MAX_JOINT_SPEED, Trajectory, even_steps
 from invdyn.models import Body
 
-LONGEST_STEP = 2e-3  # s
-DRY_STEP = 5e-4  # s, where there is dry friction
-FOLLOWED = 0.2  # radians or e-folds that a mechanism may change in a step
-SWEEPS, SETTLED = 100, 1e-9  # over dry joints at most; until they change by less than such a share
-SWING_SHARE = 0.05  # a step's share of the inverse angular frequency of the fastest swing
+MAX_STEP = 2e-3  # s
+MAX_DRY_STEP = 5e-4  # s, where there is dry friction
+MAX_CHANGE_PER_STEP = 0.2  # radians or e-folds that a mechanism may change in a step
+MAX_FRICTION_SWEEPS, FRICTION_TOLERANCE = (
+    100,
+    1e-9,
+)  # over dry joints at most; until they change by less than such a share
+MAX_SWING_FRACTION = 0.05  # a step's share of the inverse angular frequency of the fastest swing
 
 Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray, list[int]], None]
 """(t, φ (S,), φ̇ (S,), torque (S,), hinges (K,) of the joints): adds to the torque, N·m, in place."""
@@ -48,7 +51,7 @@ class World(Chain):
         self._dry: list[tuple[int, Level, float]] = []
 
     def resolve(self, rate: Callable[[np.ndarray], float]) -> None:
-        """Ask for steps that follow what changes at a rate, 1/s, given the joints' mobilities (K,), 1/(kg·m²)."""
+        """Choose steps that follow what changes at a rate, 1/s, given the joints' mobilities (K,), 1/(kg·m²)."""
         self._rates.append(rate)
 
     def force(self, act: Force) -> None:
@@ -78,9 +81,9 @@ class World(Chain):
     def compile(self) -> None:
         """Build Pinocchio's model and choose the step; later changes by mechanisms do nothing."""
         super().compile()
-        longest = [LONGEST_STEP, SWING_SHARE / self.fastest_swing(), *([DRY_STEP] if self._dry else [])]
+        longest = [MAX_STEP, MAX_SWING_FRACTION / self.fastest_swing(), *([MAX_DRY_STEP] if self._dry else [])]
         mobility = self.mobility()
-        self._longest = min([*longest, *(FOLLOWED / max(rate(mobility), 1e-9) for rate in self._rates)])
+        self._longest = min([*longest, *(MAX_CHANGE_PER_STEP / max(rate(mobility), 1e-9) for rate in self._rates)])
 
     def run(
         self,
@@ -108,7 +111,7 @@ class World(Chain):
                         [np.interp(time[i], true.time, each) for each in given_.T] for given_ in (true.q, true.qd)
                     )
                     x, v = self._state(*states)
-                if not np.abs(v).max() < FASTEST:
+                if not np.abs(v).max() < MAX_JOINT_SPEED:
                     break
                 path[i], speed[i] = x, v
                 if i % per_row == 0:
@@ -160,7 +163,7 @@ class World(Chain):
         return self.pin.aba(self.model, self.data, x, v, torque)
 
     def _friction(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> np.ndarray:
-        """Dry frictions (S,), N·m, held over a step."""
+        """Dry frictions (S,), N·m, constant over a step."""
         a, friction = self._acceleration(t, x, v, motor), np.zeros(len(x))
         load = motor + self.pin.nonLinearEffects(self.model, self.data, x, v)
         columns = []
@@ -168,7 +171,7 @@ class World(Chain):
             more = motor.copy()
             more[self.at[joint]] += 1.0
             columns.append(self._acceleration(t, x, v, more) - a)
-        for _ in range(SWEEPS):
+        for _ in range(MAX_FRICTION_SWEEPS):
             before = friction.copy()
             for (joint, level, creep), column in zip(self._dry, columns, strict=True):
                 s = self.at[joint]
@@ -177,7 +180,7 @@ class World(Chain):
                 new = min(max(friction[s] - (v[s] / h + a[s]) / column[s], -most), most)
                 a = a + (new - friction[s]) * column
                 friction[s] = new
-            if np.abs(friction - before).max() <= SETTLED * np.abs(friction).max():
+            if np.abs(friction - before).max() <= FRICTION_TOLERANCE * np.abs(friction).max():
                 break
         return friction
 
@@ -193,5 +196,5 @@ class World(Chain):
         points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
         if self.base_shift is not None:
             points = points + self.base_shift(time)[:, None]
-        turned = angle[:, self.at], (self.signs * speed)[:, self.at]
-        return Trajectory(time, *turned, points, heading[:, tips], np.asarray(command_time), given)
+        joints = angle[:, self.at], (self.signs * speed)[:, self.at]
+        return Trajectory(time, *joints, points, heading[:, tips], np.asarray(command_time), given)

@@ -121,9 +121,9 @@ def hysteresis(world: World, rng: np.random.Generator, scene: Scene, joint: int)
     state = {"z": 0.0, "t": np.inf}
 
     def begin(t: float, h: float, q: np.ndarray, v: np.ndarray, at: list[int]) -> None:
-        z, turned = (0.0 if t <= state["t"] else state["z"]), h * v[at[joint]]
-        side = np.sign(turned)
-        state.update(z=side + (z - side) * np.exp(-abs(turned) / width), t=t)
+        z, moved = (0.0 if t <= state["t"] else state["z"]), h * v[at[joint]]
+        side = np.sign(moved)
+        state.update(z=side + (z - side) * np.exp(-abs(moved) / width), t=t)
 
     world.begin(begin)
     world.torque(joint, lambda t, q, v: -size * state["z"])

@@ -155,9 +155,9 @@ def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
-def test_play_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse_steps):
+def test_backlash_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse_steps):
     """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
-    monkeypatch.setattr(cases, "TRIES", tries)
+    monkeypatch.setattr(cases, "MAX_DRAWS", tries)
     (effect,) = make_case(seed, "commanded", "backlash").answer["effects"]
     assert effect["parameters"]["width"]["value"] > 0.005
     assert effect["dprime"] < 1
@@ -191,8 +191,8 @@ def test_the_room_stays_independent():
 
 def test_a_body_that_cannot_be_is_drawn_again(monkeypatch, hasty):
     """A link that has lost more than its mass, which grown sizes may take."""
-    monkeypatch.setattr(cases, "WEAK", 10.0)
-    monkeypatch.setattr(cases, "TRIES", 16)
+    monkeypatch.setattr(cases, "WEAK_FACTOR", 10.0)
+    monkeypatch.setattr(cases, "MAX_DRAWS", 16)
     case = make_case(1, "weak", "inertial_error")
     (effect,) = case.answer["effects"]
     link = next(each for each in case.body.links if each.name == effect["link"])
@@ -208,7 +208,7 @@ def test_a_body_that_cannot_be_is_drawn_again(monkeypatch, hasty):
     ],
 )
 def test_only_what_is_hardly_met_is_made_larger(monkeypatch, draws, strengths):
-    """What stands beside it has its usual size in all draws."""
+    """What is combined with it has its usual size in all draws."""
     asked = []
 
     def attempted(_, kind, names, strength, engine):
@@ -216,7 +216,7 @@ def test_only_what_is_hardly_met_is_made_larger(monkeypatch, draws, strengths):
         met = draws[len(asked) - 1] if len(asked) <= len(draws) else (100, 100)
         return met and SimpleNamespace(answer={"effects": [{"dprime": float(each)} for each in met]})
 
-    monkeypatch.setattr(cases, "_attempt", attempted)
+    monkeypatch.setattr(cases, "attempt_case", attempted)
     make_case(1, "two", ("backlash", "inertial_error"))
     assert [first for first, _ in asked[: len(draws)]] == pytest.approx(strengths)
     assert {other for _, other in asked} == {1.0}

@@ -99,7 +99,7 @@ def test_another_user_reads_what_that_user_may(place):
         keeps.check(place / "run")
 
 
-def test_in_the_open_it_is_told_so(place):
+def test_an_unconfined_run_says_so(place):
     read, *_ = spied(place, Confined())
     assert {"its case", "another case", "the seal", "the seed"} <= read
     assert "can read what you can" in Confined().described()
@@ -115,7 +115,7 @@ def test_a_user_that_is_not_there(place):
 def test_the_words_of_a_container(place):
     """Whatever is installed here: the run's folder is empty in it, the seed's file too, and the case cannot change."""
     keeps = Confined(container=True, hidden=(place / "run", place / "seed.txt"))
-    words = keeps._container(place / "run/cases/case-0000", place / "run/out")
+    words = keeps.container_command(place / "run/cases/case-0000", place / "run/out")
     text = " ".join(words)
     assert words[0] == "bwrap"
     assert "--unshare-all" in words

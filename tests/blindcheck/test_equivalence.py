@@ -5,7 +5,7 @@ import pytest
 
 from invdyn.blindcheck.camera import film
 from invdyn.blindcheck.effects import MECHANISMS
-from invdyn.blindcheck.equivalence import NUMBERS, exactly_alike, stand_ins
+from invdyn.blindcheck.equivalence import NUMBERS, exactly_equivalent, stand_ins
 from invdyn.blindcheck.simulator import World
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.neighbours import of_same_period
@@ -91,7 +91,7 @@ def test_inertia_of_the_first_link_is_armature_without_gravity():
     ("name", "known"),
     [("armature", {"inertia": 0.006}), ("payload", {"mass": 0.4}), ("clock_rate", {"rate": 1.1})],
 )
-def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known):
+def test_effects_on_the_period_are_equal_on_one_passive_link(name, known):
     arm, time = body(1), np.arange(301) / 100
     scale = diagnosis_problem(Recording(SEEN, picture(arm)[:, -1:], ("p1",)), arm, passive=True).model.scale
     effect = next(iter(EFFECTS[name].everywhere(arm, ("p1",)))).bound(arm)
@@ -132,7 +132,7 @@ def test_whatever_changes_the_period_is_the_same_on_one_passive_link(name, known
         ),
     ],
 )
-def test_what_can_play_an_effect_is_struck_with_it(special, general, joints):
+def test_an_imitation_of_an_effect_is_left_out_with_it(special, general, joints):
     arm = body(joints)
     check(picture(arm, [special], torque=0.5), picture(arm, [general], torque=0.5))
     names = [f"j{k}" for k in range(joints)]
@@ -173,7 +173,7 @@ def test_encoders_tell_the_camera_from_the_arm(pair):
     one, other = ({"effect": name} for name in pair)
     for encoder, alike in ((None, True), (1e-3, False)):
         case = answer | {"noise": {"keypoint_sd": 1e-3, "encoder_sd": encoder}}
-        assert exactly_alike(one, other, case) is alike
+        assert exactly_equivalent(one, other, case) is alike
         assert (pair[1] in stand_ins(one, case)) is alike
     # What turns the picture turns a single link's tip alone, encoders or not.
     rolled = stand_ins({"effect": "camera_roll"}, case)
@@ -181,7 +181,7 @@ def test_encoders_tell_the_camera_from_the_arm(pair):
     assert "keypoint_offset" not in stand_ins({"effect": "gravity_tilt"}, case)
 
 
-def test_what_cannot_play_an_effect_stays():
+def test_what_cannot_imitate_an_effect_stays():
     answer = {
         "joints": ["j0", "j1"],
         "links": ["l0", "l1"],

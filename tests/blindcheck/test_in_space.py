@@ -15,7 +15,7 @@ from invdyn.blindcheck.in_space.bodies import SPACE, bodies, random_tree, with_d
 from invdyn.blindcheck.in_space.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.judge import judge
-from invdyn.blindcheck.motion import play, random_plan
+from invdyn.blindcheck.motion import random_plan, simulated
 from invdyn.blindcheck.run import BlindRun
 from invdyn.blindcheck.worker import diagnose_case
 from invdyn.models import Tree, dynamics_for, load_body
@@ -64,7 +64,7 @@ def test_without_an_effect_it_is_the_tree(joints, branch, servos, damped):
     tree = with_servos(rng, tree) if servos else tree
     tree = with_damping(rng, tree) if damped else tree
     plan = replace(random_plan(rng, tree, False, World, SPACE.habits), duration=1.0)
-    real = play(World(tree), World(tree), plan)
+    real = simulated(World(tree), World(tree), plan)
     assert (plan.targeted is not None) == servos
     own = [parts.damping if parts else 0.0 for parts in tree.joint_parts]
     assert (min(own) > 0) == damped
@@ -90,6 +90,7 @@ def test_some_files_are_off_by_as_much_as_they_say():
     assert sum(any(true.joint_parts) for true, _ in drawn) > 100  # servos or damping: .6 of them
 
 
+@pytest.mark.long
 def test_friction_that_is_put_in_is_in_the_motion():
     """An exact replay of the recording's commands follows it with the answer's damping, and does not without."""
     case = make_case(31, "commanded", "viscous_friction", SPATIAL)
@@ -99,7 +100,7 @@ def test_friction_that_is_put_in_is_in_the_motion():
     INJECTED["viscous_friction"].install(world, joint, effect["parameters"]["damping"]["value"])
     rng = np.random.default_rng(1)
     plan = replace(random_plan(rng, tree, False, World, SPACE.habits), duration=1.0)
-    real = play(world, World(tree), plan)
+    real = simulated(world, World(tree), plan)
     damping = torch.zeros(tree.num_joints, dtype=torch.float64)
     damping[joint] = effect["parameters"]["damping"]["value"]
     rows = int(0.2 * plan.command_rate)
@@ -116,7 +117,7 @@ def test_inertias_and_gravity_are_those_of_the_catalogue(name):
     tree = tree_of(5, 3, branch=True)
     world, rng = World(tree), np.random.default_rng(4)
     plan = random_plan(rng, tree, False, World, SPACE.habits)
-    scene = cases.scene(tree, plan, play(World(tree), World(tree), replace(plan, duration=0.5)), World)
+    scene = cases.scene(tree, plan, simulated(World(tree), World(tree), replace(plan, duration=0.5)), World)
     sizes = INJECTED[name].size(rng, scene, 2, 1.0)
     INJECTED[name].install(world, *([2] if name == "inertial_error" else []), **sizes)
     effect = EFFECTS[name](*(["link3"] if name == "inertial_error" else [])).bound(tree)
@@ -142,7 +143,7 @@ def test_its_catalogue_is_that_of_the_diagnosis():
     ("kind", "effect"), [("commanded", "label_swap"), ("passive", "coulomb_friction"), ("leave_one_out", "armature")]
 )
 def test_a_case_is_whole(kind, effect, tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "ENOUGH", 0.0)
+    monkeypatch.setattr(cases, "MIN_DPRIME", 0.0)
     case = make_case(8, kind, effect, SPATIAL)
     case.write(tmp_path)
     canonical(case.answer)  # finite throughout, and plain JSON
@@ -164,7 +165,7 @@ def test_planned_cases_are_of_the_catalogue_in_space():
     assert {effect for *_, kind, effect in plan if kind == "commanded"} == set(INJECTED)
 
 
-def test_a_run_is_sealed_alike_in_another_process(tmp_path):
+def test_a_run_is_sealed_equally_in_another_process(tmp_path):
     """And its answers open to what was sealed."""
     run, alone = (
         BlindRun(tmp_path / name, {"none": 1}, seed=6, workers=workers, engine=SPATIAL)

@@ -30,6 +30,7 @@ def unlike(real, stated):
     return unlike_any_start(stated, ARM, lambda: World(ARM), film, film(real), FRAMES, NOISE)
 
 
+@pytest.mark.quick("0.02")
 @pytest.mark.parametrize("off", [0.0, 0.02, 0.1])
 def test_another_start_of_the_same_world_is_found(off):
     real = run(World(ARM))
@@ -38,6 +39,7 @@ def test_another_start_of_the_same_world_is_found(off):
     assert np.abs(unlike(real, stated)).max() < 0.3
 
 
+@pytest.mark.long
 def test_another_world_is_not():
     pushed = World(ARM)
     external_push(pushed, 1, 3.0, 0.0, 2.5, 2.8)

@@ -5,7 +5,7 @@ import math
 import pytest
 from answers import FOUND, FRICTION, RIGHT, answer, diagnosis, said, true
 
-from invdyn.blindcheck.equivalence import alike, exactly_alike, in_group, paired, same
+from invdyn.blindcheck.equivalence import equivalent, exactly_equivalent, in_group, paired, same
 from invdyn.blindcheck.judge import FAILED, NONE, OUTSIDE, judge
 
 
@@ -134,8 +134,8 @@ def test_two_effects():
     assert not judge("a", both, diagnosis((1.0, said("armature", joint="elbow"), said("camera_roll")))).some
 
 
-def test_an_effect_may_be_at_work_beside_what_the_catalogue_lacks():
-    """One of two is said to be a part of what is at work: the first answer names none then, and still it is told."""
+def test_an_effect_may_act_together_with_one_that_the_catalogue_lacks():
+    """One of two is said to be a part of what acts: then the first answer names none, but the report has it."""
     both = answer(FRICTION, true("payload"), kind="two")
     found = diagnosis((0.0, FOUND), (0.0, FOUND, said("camera_roll")), (0.1, said("armature")), outside=0.9)
     for cause, part in zip(found["causes"], (0.3, 0.25, 0.0), strict=True):
@@ -231,8 +231,8 @@ FLAT = {"gravity": (0, 0)}
     ],
 )
 def test_exact_equivalences(truth, found, given, same_recordings):
-    assert exactly_alike(truth, found, answer(truth, **given)) is same_recordings
-    assert alike([truth], [found], answer(truth, **given), []) is same_recordings
+    assert exactly_equivalent(truth, found, answer(truth, **given)) is same_recordings
+    assert equivalent([truth], [found], answer(truth, **given), []) is same_recordings
 
 
 def test_pairs_are_matched_one_to_one():

@@ -1,4 +1,4 @@
-"""Each mechanism does what its equation says, told by MuJoCo's inverse dynamics of a body without it.
+"""Each mechanism does what its equation says, by MuJoCo's inverse dynamics of a body without it.
 
 What a motion needed less what was commanded is the effect's torque; θ̈ is a central difference of θ̇ between two
 commands, in error by δ²/6 times a third derivative, some 1e-6 of the torque.
@@ -49,7 +49,7 @@ def residual(real, ideal):
 
 
 def close(torque, expected, rtol=1e-3):
-    """SharedMeans to rtol of the largest, in every joint."""
+    """Equal to rtol of the largest, in every joint."""
     np.testing.assert_allclose(torque, expected, atol=rtol * np.abs(expected).max())
 
 
@@ -100,7 +100,7 @@ def test_dry_friction_holds_at_rest():
     MECHANISMS["coulomb_friction"](world, 0, 0.5)
     MECHANISMS["coulomb_friction"](world, 1, 0.5)
     real = world.run(ROWS, lambda *_: np.array([0.4, -0.4]), [0.0, 0.0], [0.0, 0.0])
-    assert np.abs(real.q[-1]).max() < 1e-3  # free, it would have turned by radians
+    assert np.abs(real.q[-1]).max() < 1e-3  # free, it would have rotated by radians
 
 
 def test_dry_friction_turns_around_with_the_motion():
@@ -113,8 +113,8 @@ def test_dry_friction_turns_around_with_the_motion():
     after = (push + level) / inertia * (real.time - stop)
     late = real.time > 1.1 * stop
     assert late.sum() > 1000
-    lost = 2 * 2e-4 * level / inertia
-    np.testing.assert_allclose(real.qd[late, 0], after[late], atol=lost)
+    loss = 2 * 2e-4 * level / inertia
+    np.testing.assert_allclose(real.qd[late, 0], after[late], atol=loss)
 
 
 def test_coupling_pulls_on_both():
@@ -198,8 +198,8 @@ def test_inertial_changes_are_those_of_another_body():
 
 def test_tilt_turns_gravity():
     _, real, *_ = moved("gravity_tilt", {"angle": 0.1})
-    turned = Body("arm", ARM.links, gravity=(9.81 * np.sin(0.1), -9.81 * np.cos(0.1)))
-    np.testing.assert_allclose(real.q, World(turned).run(ROWS, swing, *START).q, atol=1e-9)
+    tilted = Body("arm", ARM.links, gravity=(9.81 * np.sin(0.1), -9.81 * np.cos(0.1)))
+    np.testing.assert_allclose(real.q, World(tilted).run(ROWS, swing, *START).q, atol=1e-9)
 
 
 def test_a_push_is_a_force_at_a_tip():
@@ -260,10 +260,10 @@ def test_backlash_lets_the_link_move_by_its_width():
     MECHANISMS["backlash"](world, 1, 0.02)
     seen = hinges(world)
     world.run(ROWS, swing, *START)
-    play = np.array(seen)[:, 2]
-    assert np.abs(play).max() < 0.012  # stops are stiff, not rigid
-    assert play.min() < -0.0095
-    assert play.max() > 0.0095
+    gap = np.array(seen)[:, 2]
+    assert np.abs(gap).max() < 0.012  # stops are stiff, not rigid
+    assert gap.min() < -0.0095
+    assert gap.max() > 0.0095
     tight = World(ARM)
     MECHANISMS["backlash"](tight, 1, 1e-5)
     ideal = World(ARM).run(ROWS, swing, *START)
@@ -279,7 +279,7 @@ OWN = {
     "viscous_friction": ((1,), {"damping": 0.05}, 0.01),
     "external_push": ((1,), {"force_x": 4.0, "force_y": 6.0, "start": 0.1, "stop": 0.3}, 1e-3),
 }
-"""Effects beside play: where, with what parameters, and how far the model may part from MuJoCo in .5 s, rad."""
+"""Effects combined with backlash: where, parameters, and the tolerance of the model against MuJoCo in .5 s, rad."""
 STATED = {
     "joint_stiffness": (("elbow",), {"stiffness": 3.0, "torque": 0.9}),
     "joint_limit": (("elbow", "upper"), {"angle": 0.6, "stiffness": 10.0, "damping": 0.02}),
@@ -289,8 +289,9 @@ STATED = {
 """The same as effects of the model have them, where that is something else."""
 
 
+@pytest.mark.quick("nothing", "joint_limit", "viscous_friction")
 @pytest.mark.parametrize("name", OWN)
-def test_what_a_joint_has_of_its_own_is_on_the_motor_s_side_of_its_play(name):
+def test_effects_of_a_joint_are_on_the_motors_side_of_its_backlash(name):
     """There it turns the rotor, and the rotor's angle is what it knows of; what pulls at the link does neither."""
     where, parameters, apart = OWN[name]
     rows, width = 0.005 * np.arange(101), 0.06

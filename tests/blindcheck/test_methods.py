@@ -1,4 +1,4 @@
-"""Methods that a blind run asks: a command for each case, and a process that goes from case to case."""
+"""Methods that a blind run calls: a command for each case, and one process for all cases."""
 
 import json
 import os
@@ -35,8 +35,8 @@ def command(program, *words):
 
 
 @pytest.mark.parametrize("other", [False, True])
-def test_a_command_is_told_where_things_lie(folders, other):
-    """Each place as one word, whatever blanks it has; no second recording where there is none."""
+def test_a_command_gets_the_paths_of_a_case(folders, other):
+    """Each place as one word, with any blanks in it; no second recording where there is none."""
     case, out = folders
     if other:
         (case / "other.csv").touch()
@@ -65,6 +65,7 @@ def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
     stand_in = tmp_path / "python"
     stand_in.write_text(
         f"#!{sys.executable}\nimport json, os, sys\n"
+        f"print(os.getpid(), file=open({str(tmp_path / 'pids')!r}, 'a'), flush=True)\n"
         "for line in sys.stdin:\n"
         "    if json.loads(line)['case'].endswith('bad'):\n        os._exit(3)\n"
         "    print(json.dumps({'seconds': 0.1, 'error': None, 'pid': os.getpid()}), flush=True)\n"
@@ -75,12 +76,16 @@ def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
         assert method(tmp_path / "good", tmp_path) is None
         assert "exit code 3" in method(tmp_path / "bad", tmp_path)
         assert method(tmp_path / "good", tmp_path) is None
-    assert method._process is None
+    pids = [int(pid) for pid in (tmp_path / "pids").read_text().split()]
+    assert len(pids) == 2
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_who_asks_may_be_killed_in_the_middle_of_a_case(folders):
-    """The process that diagnoses ends, too: here it waits for ever for a file that nobody writes."""
+    """The process that diagnoses ends, too: here it waits for ever for a file that is never written."""
     case, out = folders
     os.mkfifo(case / "case.json")
     asks = "from pathlib import Path; from invdyn.blindcheck.methods import Ours; Ours()"
@@ -97,7 +102,7 @@ def test_who_asks_may_be_killed_in_the_middle_of_a_case(folders):
 
 
 def _opened_by_a_reader(fifo):
-    """The write end of a pipe in the file system, open as soon as somebody reads it."""
+    """The write end of a pipe in the file system, open as soon as it is read."""
     found = []
 
     def opened():

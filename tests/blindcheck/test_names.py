@@ -31,7 +31,7 @@ def reported(effect):
 
 
 def forms(effect):
-    """The effect, its softer form, that one's, and so on."""
+    """The effect, its non-ideal form, the next one, and so on."""
     while effect is not None:
         yield effect
         effect = effect.nonideal()

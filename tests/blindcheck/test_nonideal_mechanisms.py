@@ -1,4 +1,4 @@
-"""Reality's softer things against ODE solvers."""
+"""The non-ideal mechanisms of reality against ODE solvers."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ ROWS = np.arange(101) * 0.02
 
 
 def test_friction_through_bristles_is_the_law_of_lugre():
-    """A rod that turns around twice a second, and an ODE solver's LuGre; the force is held over steps of .2 ms."""
+    """A rod that turns around twice a second, and an ODE solver's LuGre; the force is constant over steps of .2 ms."""
     inertia, law = 1.0 * 0.3**2 / 3, {"coulomb": 0.1, "static": 0.25, "velocity": 0.8}
     stiff, damping = 120.0, 0.8
     world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))

@@ -35,7 +35,7 @@ def seen(name, place=None, noise=0.0, seed=SEED, camera=film, **parameters):
     return camera(REAL, FRAMES, [(name, place, parameters)], noise, seed)
 
 
-ALIKE = {
+SAME_FORM = {
     "keypoint_offset": (1, {"along": 0.02, "across": -0.03}),
     "soft_tissue": (1, {"kappa": 4e-4, "damping_ratio": 0.9}),
     "camera_scale": (None, {"scale": 1.05}),
@@ -47,10 +47,10 @@ ALIKE = {
 }
 
 
-@pytest.mark.parametrize("name", ALIKE)
+@pytest.mark.parametrize("name", SAME_FORM)
 def test_effects_of_the_same_form_look_the_same(name):
     """Cubic and straight interpolation between steps of a millisecond differ by some 1e-6 of the arm's length."""
-    place, parameters = ALIKE[name]
+    place, parameters = SAME_FORM[name]
     points = seen(name, place, **parameters)
     assert np.abs(points - TRUE).max() > 1e-3
     np.testing.assert_allclose(points, seen(name, place, camera=first.film, **parameters), atol=1e-5)
@@ -58,16 +58,16 @@ def test_effects_of_the_same_form_look_the_same(name):
 
 @pytest.mark.parametrize("present", [[], [("soft_tissue", 1, {"kappa": 4e-4, "damping_ratio": 0.9})]])
 @pytest.mark.parametrize("rows", [slice(1000, 2000), slice(1, None)], ids=["a while", "but one"])
-def test_where_a_replay_whirls_away_nothing_is_seen(present, rows):
+def test_nothing_is_seen_where_a_replay_diverges(present, rows):
     """Of some start of a fit; the rest of it is as it was."""
     points = POINTS.copy()
     points[rows] = np.nan
     start, end = FINE[rows][[0, -1]]
     since = FRAMES - start
-    lost = (since > 0) & (since < end - start)
+    gone = (since > 0) & (since < end - start)
     paths = film(REAL._replace(points=points), FRAMES, present, 0.0, SEED)
-    assert np.isnan(paths[lost]).any((1, 2)).all()
-    assert lost.any()
+    assert np.isnan(paths[gone]).any((1, 2)).all()
+    assert gone.any()
     before = since < -0.02
     np.testing.assert_allclose(paths[before], film(REAL, FRAMES, present, 0.0, SEED)[before], atol=1e-6)
 
@@ -125,10 +125,10 @@ def test_laws_are_met_as_often_as_they_say():
 
 def test_noise_grows_with_speed_in_squares():
     quiet = film(REAL, FRAMES, [], 1e-3, SEED) - film(REAL, FRAMES, [], 0.0, SEED)
-    loud = seen("varying_noise", noise=1e-3, slope_in_squares=3.0) - film(REAL, FRAMES, [], 0.0, SEED)
+    noisy = seen("varying_noise", noise=1e-3, slope_in_squares=3.0) - film(REAL, FRAMES, [], 0.0, SEED)
     speed = np.linalg.norm(np.gradient(POINTS, FINE, axis=0), axis=-1)
     speed = np.stack([np.interp(FRAMES, FINE, column) for column in speed.T], axis=-1)
-    np.testing.assert_allclose((loud / quiet)[..., 0], np.sqrt(1 + 9 * speed**2), rtol=1e-4)
+    np.testing.assert_allclose((noisy / quiet)[..., 0], np.sqrt(1 + 9 * speed**2), rtol=1e-4)
 
 
 @pytest.mark.parametrize("longest", [1, 3])
@@ -141,14 +141,14 @@ def test_mistakes_come_in_rows_at_their_rate(longest):
     np.testing.assert_allclose(swapped[at][:, [2, 1]], true[at][:, [1, 2]], atol=1e-8)
     rows = at[1:][at[:-1]].mean()  # how often one is followed by another
     assert (rows > 0.3) == (longest > 1)
-    stray = film(REAL, frames, [("outliers", None, {"rate": 0.05, "in_a_row": longest, "within": 0.6})], 0.0, SEED)
-    off = np.abs(stray - true).max(axis=2) > 1e-6
+    outlying = film(REAL, frames, [("outliers", None, {"rate": 0.05, "in_a_row": longest, "within": 0.6})], 0.0, SEED)
+    off = np.abs(outlying - true).max(axis=2) > 1e-6
     assert off.mean() == pytest.approx(0.05, abs=0.01)
-    assert np.abs(stray).max() < 0.61
+    assert np.abs(outlying).max() < 0.61
 
 
 @pytest.mark.parametrize("uniform", [0.0, 1.0])
-def test_jitter_has_its_spread(uniform):
+def test_jitter_has_its_sd(uniform):
     frames = np.linspace(0.5, 3.5, 20000)
     points = film(REAL, frames, [("timestamp_jitter", None, {"rate": 0.5, "sd": 0.002, "uniform": uniform})], 0.0, SEED)
     heading = np.arctan2(points[:, 1, 1], points[:, 1, 0])

@@ -30,10 +30,11 @@ ONE = {
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch):
     """One draw a case, and d′ is soon settled."""
-    monkeypatch.setattr(cases, "TRIES", 1)
-    monkeypatch.setattr(starts, "STEPS", 1)
+    monkeypatch.setattr(cases, "MAX_DRAWS", 1)
+    monkeypatch.setattr(starts, "MAX_GAUSS_NEWTON_STEPS", 1)
 
 
+@pytest.mark.quick("[!ct]*")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_case_is_whole(kind, tmp_path):
     case = make_case(11, kind, ONE[kind], "pinocchio")
@@ -61,7 +62,7 @@ def test_the_same_seed_is_the_same_case_to_the_byte(tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_engines_play_the_same_effects_otherwise():
+def test_engines_simulate_the_same_effects_differently():
     pytest.importorskip("mujoco")
     answers = [make_case(12, "commanded", "soft_tissue", engine).answer for engine in ("mujoco", "pinocchio")]
     assert [answer["engine"] for answer in answers] == ["mujoco", "pinocchio"]

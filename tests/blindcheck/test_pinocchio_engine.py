@@ -1,4 +1,4 @@
-"""The second generator of reality against the first: no effect, and each effect that both play in the same form."""
+"""The second generator of reality against the first: no effect, and each effect that both simulate in the same form."""
 
 import sys
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 
 from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
-from invdyn.blindcheck.motion import play, random_body, random_plan
+from invdyn.blindcheck.motion import random_body, random_plan, simulated
 from invdyn.blindcheck.pinocchio import simulator
 from invdyn.models import Body, Link
 
@@ -45,7 +45,7 @@ def test_without_an_effect_both_go_the_same_way(joints, horizontal, passive):
     plans = [random_plan(np.random.default_rng(2), body, passive, engine.world) for engine in (MUJOCO, PINOCCHIO)]
     np.testing.assert_allclose(plans[0].stiffness, plans[1].stiffness, rtol=1e-9)
     plan = replace(plans[0], duration=3.0)
-    paths = [play(engine.world(body), engine.world(body), plan) for engine in (MUJOCO, PINOCCHIO)]
+    paths = [simulated(engine.world(body), engine.world(body), plan) for engine in (MUJOCO, PINOCCHIO)]
     rows = len(paths[0].command) - 1
     one, other = (path.points[:: (len(path.time) - 1) // rows] for path in paths)
     reach = sum(link.length for link in body.links)
@@ -58,7 +58,7 @@ def test_energy_stays_where_nothing_takes_it():
     rng = np.random.default_rng(3)
     body = random_body(rng, 3, False)
     world = PINOCCHIO.world(body)
-    real = play(world, PINOCCHIO.world(body), replace(random_plan(rng, body, True, PINOCCHIO.world), duration=4.0))
+    real = simulated(world, PINOCCHIO.world(body), replace(random_plan(rng, body, True, PINOCCHIO.world), duration=4.0))
     energy = np.array([world.energy(q, qd) for q, qd in zip(real.q[::10], real.qd[::10], strict=True)])
     kinetic = np.ptp([world.energy(q, qd) - world.energy(q, 0 * qd) for q, qd in zip(real.q, real.qd, strict=True)])
     assert np.abs(energy - energy[0]).max() < 1e-6 * kinetic  # RK4 loses a little with every step
@@ -67,15 +67,15 @@ def test_energy_stays_where_nothing_takes_it():
 def test_the_error_falls_with_the_fourth_power_of_the_step(monkeypatch):
     ends = []
     for step in (4e-3, 2e-3, 1e-3):
-        monkeypatch.setattr(simulator, "LONGEST_STEP", step)
-        monkeypatch.setattr(simulator, "SWING_SHARE", 1.0)
+        monkeypatch.setattr(simulator, "MAX_STEP", step)
+        monkeypatch.setattr(simulator, "MAX_SWING_FRACTION", 1.0)
         ends.append(moved(PINOCCHIO)[1])
     coarse, fine = (np.abs(each - ends[2]).max() for each in ends[:2])
     # errors e, e/16, e/256 leave differences of 255 and 15 parts
     assert coarse / fine == pytest.approx(17, rel=0.3)
 
 
-ALIKE = {
+SAME_FORM = {
     "viscous_friction": ((1,), {"damping": 0.2}),
     "coulomb_friction": ((1,), {"torque": 0.15}),
     "stribeck_friction": ((0,), {"coulomb": 0.1, "static": 0.25, "velocity": 0.8}),
@@ -99,15 +99,15 @@ ALIKE = {
     "base_motion": ((), {"amplitude_x": 0.02, "amplitude_y": 0.01, "frequency": 2.0, "phase": 0.3}),
     "link_flexibility": ((0,), {"stiffness": 20.0, "damping": 0.05}),
 }
-"""Effects of the dynamics but play, whose teeth are rigid in one engine and springs in the other."""
+"""Effects of the dynamics but backlash, whose teeth are rigid in one engine and springs in the other."""
 COARSE = {"coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "external_push", "base_motion"}
 """Whose force MuJoCo holds over a step of .2 ms, or turns around in one: first order in the step."""
 
 
 @pytest.mark.usefixtures("fine_steps")
-@pytest.mark.parametrize("name", ALIKE)
+@pytest.mark.parametrize("name", SAME_FORM)
 def test_an_effect_of_the_same_form_does_the_same(name):
-    where, parameters = ALIKE[name]
+    where, parameters = SAME_FORM[name]
     _, plain = moved(PINOCCHIO)
     one, other = (moved(engine, name, *where, parameters)[1] for engine in (MUJOCO, PINOCCHIO))
     changed = np.abs(other - plain).max()
@@ -116,7 +116,7 @@ def test_an_effect_of_the_same_form_does_the_same(name):
 
 
 def test_every_effect_of_the_dynamics_has_a_form():
-    assert set(PINOCCHIO.mechanisms) == set(MUJOCO.mechanisms) == {*ALIKE, "backlash"}
+    assert set(PINOCCHIO.mechanisms) == set(MUJOCO.mechanisms) == {*SAME_FORM, "backlash"}
     assert set(PINOCCHIO.unlisted) == set(MUJOCO.unlisted)
     assert set(EFFECTS) >= set(PINOCCHIO.mechanisms)
 

@@ -8,7 +8,7 @@ import pytest
 from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
 from invdyn.blindcheck.motion import random_plan
-from invdyn.blindcheck.pinocchio.bodies_and_motors import _cut
+from invdyn.blindcheck.pinocchio.bodies_and_motors import cut
 from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.scene import scene
 from invdyn.models import Body, Link
@@ -78,7 +78,7 @@ def test_a_torque_at_one_joint(name, joint):
     real, inside, torque, _ = with_effect(name, joint, **parameters)
     expected = np.zeros_like(torque)
     expected[:, joint] = law(real.q[inside, joint], real.qd[inside, joint], real.time[inside])
-    close(torque, expected, 0.01)  # friction is held over a step, also where it changes sign; a stop has an edge
+    close(torque, expected, 0.01)  # friction is constant over a step, also where it changes sign; a stop has an edge
 
 
 def test_hard_friction_holds_at_rest_and_does_not_creep():
@@ -87,7 +87,7 @@ def test_hard_friction_holds_at_rest_and_does_not_creep():
     for joint in (0, 1):
         PINOCCHIO.mechanisms["coulomb_friction"](world, joint, 0.5)
     real = world.run(ROWS[:16], lambda *_: np.array([0.4, -0.4]), [0.0, 0.0], [0.0, 0.0])
-    assert np.abs(real.q).max() < 1e-9  # free, it would have turned by radians
+    assert np.abs(real.q).max() < 1e-9  # free, it would have rotated by radians
 
 
 @pytest.mark.parametrize(
@@ -125,27 +125,27 @@ def test_a_half_wave_has_the_impulse_of_a_constant_force():
     assert np.abs(ends[0]).min() > 0.01
 
 
-def test_play_is_slack_and_then_springs():
+def test_backlash_is_slack_and_then_springs():
     world = PINOCCHIO.world(ARM)
     PINOCCHIO.mechanisms["backlash"](world, 1, 0.02, rotor_share=0.4, gear_stiffness=400.0, gear_damping=0.1)
     seen = []
     world.begin(lambda t, h, q, v, at: seen.append(q[at[1] + 1]))
     real = world.run(ROWS, swing, *START)
-    play = np.array(seen)
-    assert play.max() > 0.0099
-    assert play.min() < -0.0099
-    assert np.abs(play).max() < 0.02
-    free = np.abs(play) < 0.009
+    gap = np.array(seen)
+    assert gap.max() > 0.0099
+    assert gap.min() < -0.0099
+    assert np.abs(gap).max() < 0.02
+    free = np.abs(gap) < 0.009
     assert 0.02 < free.mean() < 0.9
     elbow = real.heading[:-1, 1] - real.heading[:-1, 0]
-    np.testing.assert_allclose(elbow - real.q[:-1, 1], play, atol=1e-9)  # the link is where its motor is, and the play
+    np.testing.assert_allclose(elbow - real.q[:-1, 1], gap, atol=1e-9)  # the link is where its motor is, and the gap
 
 
 @pytest.mark.parametrize("ends", [[0.0, 0.45, 1.0], [0.0, 1 / 3, 2 / 3, 1.0]])
 @pytest.mark.parametrize("inertia", [0.9 * 0.3**2 / 12, 0.3 * 0.9 * 0.3**2 / 12])
 def test_a_link_that_is_cut_is_the_link_while_straight(ends, inertia):
     whole = Piece(0.3, 0.9, 0.13, inertia, joint=1, tip=1, sign=-1.0, zero=np.pi)
-    pieces = _cut(whole, ends)
+    pieces = cut(whole, ends)
     starts = np.cumsum([0.0, *(piece.length for piece in pieces)])
     masses = np.array([piece.mass for piece in pieces])
     centres = starts[:-1] + [piece.com for piece in pieces]

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from invdyn.blindcheck.effects import MECHANISMS
-from invdyn.blindcheck.motion import LEAD, play, random_body, random_plan, replay
+from invdyn.blindcheck.motion import LEAD, random_body, random_plan, replay, simulated
 from invdyn.blindcheck.simulator import World
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.planar import planar_dynamics
@@ -36,7 +36,7 @@ def test_no_effect_is_the_ideal_body(joints, horizontal, passive):
     rng = np.random.default_rng([1, joints])
     body = random_body(rng, joints, horizontal)
     plan = replace(random_plan(rng, body, passive), duration=3.0)
-    real = play(World(body), World(body), plan)
+    real = simulated(World(body), World(body), plan)
     rows = int(0.3 * plan.command_rate)  # pieces: an arm that stands up magnifies round-off, a replay with it
     for row in range(0, len(real.command) - rows, 3 * rows):
         path, per_row = ideal(body, real, row, rows)
@@ -50,9 +50,9 @@ def test_halving_the_step_moves_nothing(monkeypatch):
     rng = np.random.default_rng(4)
     body = random_body(rng, 2, False)
     plan = random_plan(rng, body, True)
-    whole = play(World(body), World(body), plan)
-    monkeypatch.setattr("invdyn.blindcheck.simulator.LONGEST_STEP", 2.5e-4)
-    half = play(World(body), World(body), plan)
+    whole = simulated(World(body), World(body), plan)
+    monkeypatch.setattr("invdyn.blindcheck.simulator.MAX_STEP", 2.5e-4)
+    half = simulated(World(body), World(body), plan)
     rows = len(whole.command) - 1
     ours, theirs = (each.points[:: (len(each.time) - 1) // rows] for each in (whole, half))
     assert len(half.time) > 1.8 * len(whole.time)
@@ -72,7 +72,7 @@ def test_a_command_acts_from_its_row_to_the_next():
 def test_a_replay_starts_again_from_the_true_state():
     rng = np.random.default_rng(5)
     body = random_body(rng, 2, False)
-    real = play(World(body), World(body), random_plan(rng, body, False))
+    real = simulated(World(body), World(body), random_plan(rng, body, False))
     heavier = World(body.with_values(mass=[2 * link.mass for link in body.links]))
     again = replay(heavier, real, 0.1)
     off = np.abs(again.q - real.q).max(axis=1)

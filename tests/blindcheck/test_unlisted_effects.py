@@ -1,10 +1,10 @@
-"""What lies outside the catalogue is played, and by the laws that its docstrings state."""
+"""What lies outside the catalogue is simulated by the laws that its docstrings state."""
 
 import numpy as np
 import pytest
 from pendulum import ARM
 
-from invdyn.blindcheck.motion import play, random_plan
+from invdyn.blindcheck.motion import random_plan, simulated
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.unlisted_effects import UNLISTED
@@ -12,19 +12,20 @@ from invdyn.blindcheck.unlisted_effects import UNLISTED
 pytest.importorskip("mujoco")
 
 
-def played(name):
+def simulation(name):
     """The parameters that were drawn, the arm's motion without the effect, and with it."""
     rng = np.random.default_rng(3)
     plan = random_plan(rng, ARM, False)
-    ideal = play(World(ARM), World(ARM), plan)
+    ideal = simulated(World(ARM), World(ARM), plan)
     world = World(ARM)
     drawn = UNLISTED[name](world, rng, scene(ARM, plan, ideal), 1)
-    return drawn, ideal, play(world, World(ARM), plan)
+    return drawn, ideal, simulated(world, World(ARM), plan)
 
 
+@pytest.mark.quick("detent", "hardening_spring", "one_way_friction")
 @pytest.mark.parametrize("name", UNLISTED)
 def test_what_lies_outside_moves_the_arm(name):
-    drawn, ideal, real = played(name)
+    drawn, ideal, real = simulation(name)
     assert all(np.isfinite(value) and unit for value, unit in drawn.values())
     assert np.isfinite(real.q).all()
     assert np.abs(real.points - ideal.points).max() > 1e-4
@@ -51,7 +52,7 @@ LAWS = {
 @pytest.mark.parametrize("name", LAWS)
 def test_it_does_what_its_law_says(name):
     """The torque that the motion needed beyond the command, θ̈ a central difference between two commands."""
-    drawn, _, real = played(name)
+    drawn, _, real = simulation(name)
     inside, per_row = np.arange(1, len(real.time) - 1), (len(real.time) - 1) // (len(real.command) - 1)
     inside = inside[inside % per_row != 0]
     q, qd, step = real.q[inside], real.qd[inside], real.time[1] - real.time[0]

@@ -47,6 +47,7 @@ def test_an_end_that_nobody_saw_changes_nothing():
     assert abs(damping.mean - DAMPING) < 4 * damping.sd
 
 
+@pytest.mark.long
 def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
     """And of what the camera does nothing is: no torque is missing."""
     assert diagnosed().to_json()["where"]["depends_on"] == ["velocity:pivot"]
@@ -68,6 +69,7 @@ def test_an_arm_at_thirty_frames_a_second_lacks_nothing():
     assert found.ambiguity_set == ()
 
 
+@pytest.mark.long
 def test_rows_that_last_no_longer_than_a_push_show_nothing():
     """Forty milliseconds at a thousand frames a second, with all of the catalogue."""
     arm = random_arm(PENDULUM, duration=0.04, fps=1000, noise=0.0005, torque_scale=0.5, commanded=True, seed=3)

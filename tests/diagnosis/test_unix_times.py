@@ -32,6 +32,7 @@ def pushed(start):
     return diagnosis_problem(stamped, ARM), effect.bound(ARM)
 
 
+@pytest.mark.long
 def test_commands_before_the_first_seen_row_stay_at_their_times():
     (here, _), (there, _) = pushed(0.0), pushed(UNIX)
     assert here.model.time[0] == pytest.approx(4 / 60)

@@ -344,6 +344,7 @@ def test_the_command_labels_and_continues(tmp_path, monkeypatch, run):
     assert "labels of elbow, wrist are there" in outcome.stderr
 
 
+@pytest.mark.long
 def test_labels_of_a_larger_film_are_not_continued(tmp_path, run):
     swinging(tmp_path / "film.mov", 5)
     write_labels(Labels(np.array([2]), np.full((1, 2, 2), 55.0), NAMES), tmp_path / "l.csv")

@@ -72,6 +72,7 @@ def test_the_seed_decides_and_torchs_own_stays_untouched():
     assert not np.array_equal(first.keypoints, other.keypoints)
 
 
+@pytest.mark.long
 def test_by_default_an_arm_swings_and_does_not_whirl():
     for seed in range(5):
         _, truth = record(random_arm(BODY, duration=3, fps=25), seed)

@@ -229,6 +229,7 @@ def test_lengths_are_learned():
     assert idata["constant_data"]["length"].values == pytest.approx([0.35, 0.3], abs=2e-3)
 
 
+@pytest.mark.long
 def test_other_torque_processes_and_families():
     recording, truth = record(TIME[:40])
     matern = {"emission.keypoint_scale": 0.005, "torque.scale": 3.0, "torque.lengthscale": 0.2}

@@ -75,6 +75,7 @@ def test_a_choice_that_was_kept_is_not_made_again(smooth, tmp_path, monkeypatch)
     assert type(second.problem.model.torque) is Matern52
 
 
+@pytest.mark.long
 def test_a_comparison_holds_out_under_the_process_that_it_chose(rough, monkeypatch):
     bound = []
 

@@ -65,6 +65,7 @@ def test_errors_that_are_a_load_begin_at_that_load(mass):
     assert around("inertial_error.upper_arm", loaded(mass)) == {}
 
 
+@pytest.mark.long
 @given(st.floats(0.01, 3.0))
 def test_in_space_too_by_weight_and_by_inertia(mass):
     """The exact load is an error of mass and com, and of the moments' mean, whatever its direction."""

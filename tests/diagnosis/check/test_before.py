@@ -25,6 +25,7 @@ def log():
     return robot_log(3.0, camera=False).at(slice(None, None, 4))
 
 
+@pytest.mark.quick("*sign", "*deg", "*ms")
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
@@ -43,6 +44,7 @@ def test_what_no_effect_looks_like_is_refused(log, changed, says):
         check_before(Reading(replace(log, **changed(log))), ARM)
 
 
+@pytest.mark.quick("*tilted")
 @pytest.mark.parametrize(
     ("changed", "says"),
     [

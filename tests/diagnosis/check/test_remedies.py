@@ -179,6 +179,7 @@ def test_a_log_whose_remedies_leave_too_much_is_unclear(monkeypatch):
     assert found.unclear
 
 
+@pytest.mark.quick("50.0-*")
 @pytest.mark.parametrize(("factor", "least", "most"), [(50.0, 0.95, 1.0), (0.02, 45.0, 60.0)])
 def test_what_is_missed_is_stated_in_terms_of_what_the_motion_asks(factor, least, most):
     """A fiftieth of the torque misses no more than all of it, fifty times as much many times as much."""

@@ -19,6 +19,7 @@ from invdyn.diagnosis.sensitivity.screen import screen
 from invdyn.models.effects import EFFECTS
 
 
+@pytest.mark.long
 def test_the_path_of_one_leads_to_another_that_is_like_it():
     """Where only Stribeck's friction has arrived, dry friction is tried again."""
     bound = diagnosis_problem(driven("coulomb_friction", rows=120, coulomb_friction_torque=0.15), PENDULUM)

@@ -128,6 +128,7 @@ def test_intervals_of_what_was_searched_stay_within_the_prior():
     assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)
 
 
+@pytest.mark.quick("outliers", "label_swap")
 @pytest.mark.parametrize("name", [name for name, kind in EFFECTS.items() if is_noise(kind.__new__(kind))])
 def test_what_changes_the_scatter_leaves_the_motion_and_the_slopes(name):
     """So that one linearisation does for all of its parameters, but for the rows that are seen."""

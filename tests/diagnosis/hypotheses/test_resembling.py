@@ -71,6 +71,7 @@ def test_what_changes_the_period_is_followed_to_all_that_may(name, values):
         assert factor(effect, own, scale.body) == pytest.approx(factor(truth, values, scale.body), rel=0.01)
 
 
+@pytest.mark.long
 def test_on_two_links_or_under_torque_or_lying_flat_they_are_no_twins():
     flat = replace(PENDULUM, gravity=(0.0, 0.0))
     for body, passive in ((ARM, True), (PENDULUM, False), (flat, True)):

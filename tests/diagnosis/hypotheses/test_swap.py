@@ -56,6 +56,7 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
     assert len(started) == 3 * tried
 
 
+@pytest.mark.long
 def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     truth, wide = (EFFECTS[name]("pivot") for name in ("coulomb_friction", "stribeck_friction"))
     bound = diagnosis_problem(recording_of(truth, torque=0.06, rows=200), PENDULUM)

@@ -43,6 +43,7 @@ def uneven() -> Recording:
     )
 
 
+@pytest.mark.quick("*-even", "True-uneven")
 @pytest.mark.parametrize("make", [lambda: recording_of(rows=60), uneven], ids=["even", "uneven"])
 @pytest.mark.parametrize("short", [False, True])
 def test_products_are_those_of_columns(make, short):

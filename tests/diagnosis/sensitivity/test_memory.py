@@ -124,6 +124,7 @@ def trailing(memory, seed=0, rows=400):
     return replace(still, keypoints=keypoints)
 
 
+@pytest.mark.long
 def test_a_tracker_that_trails_is_no_gap():
     """Friction is found, and nothing else is left."""
     here = diagnosis_problem(trailing(0.25), PENDULUM)

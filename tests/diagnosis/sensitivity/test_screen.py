@@ -42,6 +42,7 @@ def test_screen_is_a_ranking_of_all_and_none():
     assert roll.dprime == pytest.approx(0.67 * prior_sd(parameter) / known, rel=0.02)
 
 
+@pytest.mark.long
 def test_half_the_sub_steps_do_for_what_is_changed():
     """Slopes of one sub-step or of four: gains are the same to a hundredth."""
     here = diagnosis_problem(
@@ -60,6 +61,7 @@ def test_half_the_sub_steps_do_for_what_is_changed():
         assert gains[0][key] == pytest.approx(gain, rel=0.01, abs=0.1), key
 
 
+@pytest.mark.long
 def test_what_the_camera_does_shows_beside_the_simulation_alone():
     """Under a residual torque the arm follows what a shutter has bent, and the screen sees nothing."""
     shutter = EFFECTS["rolling_shutter"]().bound(PENDULUM)

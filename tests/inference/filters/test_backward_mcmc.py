@@ -49,6 +49,7 @@ def errors(draws, chain, y):
     return np.abs(draws.mean(0) - means) / sd, draws.var(0) / sd**2
 
 
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
 def test_it_agrees_with_rts(chain, y, guide, threshold):
@@ -80,6 +81,7 @@ def test_without_a_step_it_is_the_genealogy(chain, y):
     assert torch.equal(backward_mcmc(model, result, rows, 20, seed=9, steps=0), lines)
 
 
+@pytest.mark.long
 def test_many_steps_forget_where_they_began(chain, y):
     """From a wrong start, the kernel still comes to the backward distribution."""
     model, rows, result = filtered(chain, y, 100, 60)

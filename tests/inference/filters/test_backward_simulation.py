@@ -141,6 +141,7 @@ def test_the_bridge_survives_dynamics_that_are_nearly_deterministic():
     assert np.sqrt(np.mean(((pooled.mean(0) - means[:, 0]) / sd)[inner] ** 2)) < 0.6
 
 
+@pytest.mark.long
 def test_draws_are_weighted_by_the_last_rows_weights():
     one = np.ones((1, 1))
     chain = oracles.Chain(0.9 * one, one, one, 0.02 * one, np.zeros(1), one)

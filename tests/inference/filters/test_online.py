@@ -138,6 +138,7 @@ def exact_sums(chain, y, rows):
     return np.array([*means.sum(0), product])
 
 
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("backward", ["mcmc", "exact"])
 def test_paris_agrees_with_kalman(chain, y, backward, threshold):
@@ -183,6 +184,7 @@ def test_paris_refuses_what_it_cannot_do(chain, y):
 
 
 # -- fixed lag ---------------------------------------------------------------------------------------
+@pytest.mark.quick("*-0.5")
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 @pytest.mark.parametrize("lag", [0, 3, 12, 100])
 def test_fixed_lag_agrees_with_rts_of_as_many_rows(chain, y, lag, threshold):

@@ -88,6 +88,7 @@ def test_a_state_without_noise_is_refused_in_one_line(method):
         infer_states(model, model.simulate(seed=1)[1], method=method)
 
 
+@pytest.mark.quick("model0*")
 @pytest.mark.parametrize(("model", "low", "high"), [(Growth(12), -30, 30), (Positive(12), 1e-3, 9)])
 def test_particle_gibbs_takes_the_guide_that_pilots_chose(model, low, high):
     y = model.simulate(seed=2)[1]

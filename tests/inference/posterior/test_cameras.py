@@ -152,6 +152,7 @@ def test_cameras_that_are_rotated_are_integrated_out():
     assert sd.min() < 0.005  # something was learned
 
 
+@pytest.mark.long
 def test_a_length_is_learned_from_two_cameras():
     problem = arm_problem(filmed(views_of(ring(2))), rod(Learned(0.3)), parameters=KNOWN, substeps=1)
     (free,) = [free for free in free_parameters(problem, tuple(KNOWN)) if free.name == "body.sites"]

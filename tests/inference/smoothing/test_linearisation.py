@@ -44,6 +44,7 @@ def test_slopes_are_tangents(batch, wide, digits, monkeypatch):
     torch.testing.assert_close(H, expected, rtol=10**-digits, atol=0.1 * 10**-digits)
 
 
+@pytest.mark.long
 def test_slopes_follow_what_is_driven_through_contacts():
     """Play at the elbow: what a hair's difference in the first row becomes is the product of all rows' slopes."""
     model = arm(60, 0.003, parameters={"torque.scale": 0.0}).with_effects(EFFECTS["backlash"]("joint1"))

@@ -80,6 +80,7 @@ def test_a_markov_guide_is_exact_for_a_linear_model_and_stays_so():
     assert max(p.grad.abs().max().item() for p in guide.parameters()) < 1e-7
 
 
+@pytest.mark.long
 def test_a_markov_guide_finds_back():
     chain, model, y = linear()
     guide = Markov(gauss_newton(model, y))

@@ -93,6 +93,7 @@ def test_untrained_correction_is_the_controlled_guide(dtype):
     assert runs[1].std() < 0.2
 
 
+@pytest.mark.quick("systematic-*")
 @pytest.mark.parametrize("kind", ["affine", "corrected"])
 @pytest.mark.parametrize("resampling", ["systematic", "multinomial"])
 def test_evidence_stays_unbiased_with_a_guide_far_from_the_best(kind, resampling):

@@ -51,6 +51,7 @@ def slope(steps, errors):
     return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
+@pytest.mark.quick("1-*", "2-rk4", "2-semi_implicit")
 @EVERY
 def test_errors_of_state_and_energy_fall_at_the_integrators_order(swing, name):
     steps = [80, 160, 320] if ORDER[name] == 1 else [20, 40, 80]

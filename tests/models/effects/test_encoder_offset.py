@@ -95,6 +95,7 @@ def test_a_servo_that_follows_it_moves_as_in_mujoco(tmp_path, limits):
     assert missed[True] < 2e-3 < 0.02 < missed[False]
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*clockwise")
 def test_a_servos_encoder_is_found(tmp_path):
     """With all of the catalogue beside it; friction, springs, and a gain are none of it."""

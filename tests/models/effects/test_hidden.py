@@ -87,6 +87,7 @@ def test_a_damped_flexible_rod_loses_energy_and_only_it(having):
     assert lossy[0] - lossy[-1] > 0.5 * spring
 
 
+@pytest.mark.quick("0.01-*")
 @pytest.mark.parametrize("stiffness", [1e4, 1e9])
 @pytest.mark.parametrize("step", [0.01, 0.04])
 def test_a_spring_stiffer_than_the_steps_is_stable(stiffness, step, having):
@@ -156,6 +157,7 @@ def pushed(having):
     return run
 
 
+@pytest.mark.long
 def test_the_gap_stays_within_its_stops_and_turns_over_with_the_load(pushed):
     path = pushed(0.02)
     assert np.abs(path[:, 0]).max() <= 0.01 + 1e-12
@@ -205,6 +207,7 @@ def test_in_the_gap_the_link_coasts_for_as_long_as_the_rotor_needs(pushed):
     assert total * path[500, 3] == pytest.approx(level * 500 * 5e-4, rel=1e-3)
 
 
+@pytest.mark.quick("0.01")
 @pytest.mark.parametrize("step", [0.01, 0.033])
 def test_coarse_steps_keep_the_momentum_too(step, pushed):
     path, ideal = pushed(0.02, rows=60, step=step), pushed(0.0, rows=60, step=step)

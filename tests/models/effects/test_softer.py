@@ -58,6 +58,7 @@ def test_a_share_of_the_coriolis_torque_loads_a_gear(share, arm, states, having)
     torch.testing.assert_close(friction[:, 0], expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.quick("*-0.0137")
 @pytest.mark.parametrize("step", [0.0137, 0.03, 0.1])
 @pytest.mark.parametrize(("settling", "creep"), [(0.0, 0.0), (0.002, 0.0), (0.011, 0.001), (0.06, 0.015)])
 def test_a_rod_settles_and_turns_around_within_a_step(settling, creep, step, having):

@@ -48,6 +48,7 @@ def test_right_cameras_are_trusted_though_a_tracker_errs(count, noise):
         reconstruct(views)
 
 
+@pytest.mark.long
 def test_a_film_of_something_else_is_told():
     views = filmed(4)
     views.pixels[:] = np.random.default_rng(0).uniform(0, 900, views.pixels.shape)

@@ -68,6 +68,7 @@ def test_lasting_errors_are_no_clock():
         find_offsets({"cam1": first, "cam3": far}, calibration, 0.05)
 
 
+@pytest.mark.long
 def test_what_cannot_be_found_is_told():
     calibration = ring(2)
     with pytest.raises(InputError, match="nothing moves enough"):

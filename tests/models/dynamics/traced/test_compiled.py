@@ -10,7 +10,7 @@ from torch.autograd import forward_ad
 from torch.fx.experimental.proxy_tensor import make_fx
 from trees import mobile_arm, panda, paper_arm, random_state, random_tree
 
-from invdyn.models.dynamics.interface import _import_forward_mode
+from invdyn.models.dynamics.interface import jvp
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled
 
@@ -99,7 +99,7 @@ def test_a_tangent_comes_from_torch():
     """It is carried whatever no_grad says; machine code has none."""
     fast, slow = both(paper_arm())
     p, (q, qd, tau) = paper_arm().parameters(), random_state(K, 3, batch=(9,))
-    _import_forward_mode()
+    jvp(torch.sin, (q,), (qd,))  # imports of torch that warn, once
     with torch.no_grad(), forward_ad.dual_level():
         moving = forward_ad.make_dual(q, qd)
         found, expected = (forward_ad.unpack_dual(d.forward(moving, qd, tau, p)) for d in (fast, slow))
