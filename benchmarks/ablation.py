@@ -5,7 +5,7 @@ better best cause, and in how many cases it has a say: the final best is its fin
 that. A rule without a say cost time alone, there. ``--without RULE`` searches once more with that rule gone, where it
 had a say, or, with ``--tried``, wherever it was tried; what the best's score loses is its worth.
 
-    python benchmarks/ablation.py --cases CASES --out WATCHED       a line a case, and the table; goes on where it ended
+    python benchmarks/ablation.py --cases CASES --out WATCHED       a line a case, and the table; continues
     python benchmarks/ablation.py --cases CASES --out WATCHED --without drop
 
 Cases are those of ``benchmarks/development.py make``. Intervals are Jeffreys', of 90 %.
@@ -165,7 +165,7 @@ def has_a_say(run: dict, rule: str) -> bool:
 
 
 def table(out: Path) -> str:
-    """What each rule did in the watched searches, and what was lost without it."""
+    """What each rule did in the watched searches, and the loss without it."""
     runs = {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("*.json"))}
     rows = [
         ("rule", "what it does", "tried", "share of the time", "found a better best", "has a say", "lost without it")
@@ -176,8 +176,8 @@ def table(out: Path) -> str:
         share = sum(run["spent"].get(name, 0.0) for run in runs.values()) / sum(run["seconds"] for run in runs.values())
         said = rate(sum(has_a_say(run, name) for run in runs.values()), len(runs))
         less = {path.stem: json.loads(path.read_text()) for path in sorted(out.glob(f"without-{name}/*.json"))}
-        lost = ", ".join(f"{runs[case]['score'] - run['score']:.1f}" for case, run in less.items()) or "–"
-        rows.append((f"`{name}`", what, str(tried), f"{share:.2f}", str(better), said, lost))
+        missing = ", ".join(f"{runs[case]['score'] - run['score']:.1f}" for case, run in less.items()) or "–"
+        rows.append((f"`{name}`", what, str(tried), f"{share:.2f}", str(better), said, missing))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 

@@ -39,25 +39,25 @@ def main() -> None:
     arguments.add_argument("folders", nargs="+", type=Path, metavar="FOLDER")
     arguments.add_argument("--together", action="store_true")
     arguments.add_argument("--all", action="store_true")
-    asked = arguments.parse_args()
-    runs = [json.loads((folder / "scores.json").read_text()) for folder in asked.folders]
+    given = arguments.parse_args()
+    runs = [json.loads((folder / "scores.json").read_text()) for folder in given.folders]
     names = [f"seed {run['about']['seed']}" for run in runs]
-    if asked.together:
-        runs.append(together(asked.folders))
+    if given.together:
+        runs.append(together(given.folders))
         names.append("together")
     print("| kind | measure | aimed at | " + " | ".join(names) + " |")
     print("|---" * (3 + len(runs)) + "|")
     for kind, said in KINDS.items():
         known = {m["name"]: m for run in runs for m in run["measures"].get(kind, [])}
         for measure in known.values():
-            if asked.all or measure["target"] or (kind, measure["name"]) in UNTOLD:
+            if given.all or measure["target"] or (kind, measure["name"]) in UNTOLD:
                 cells = [_cell(run["measures"].get(kind, []), measure["name"]) for run in runs]
                 print(f"| {said} | {measure['name']} | {measure['target'] or ''} | " + " | ".join(cells) + " |")
-    if asked.all:
+    if given.all:
         print()
         for name, run in zip(names, runs, strict=True):
             reliability(name, run["calibration"])
-        for name, folder in zip(names, asked.folders, strict=False):
+        for name, folder in zip(names, given.folders, strict=False):
             durations(name, folder)
 
 

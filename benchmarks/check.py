@@ -2,7 +2,7 @@
 
     python benchmarks/check.py [--logs 20] [--clean 40] [--seed 40000] [--only zero,…] [--results FILE]
 
-MuJoCo plays random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has encoders
+MuJoCo simulates random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has encoders
 (noise of .1 to 2 mrad) and the torques given to the motors. Half of all logs, and half of those that are right, are of
 an arm with an effect of the catalogue, so that a simulation which lacks something is no mistake. Arms in a horizontal
 plane have no gravity to tell a zero by, and are left out for it.
@@ -31,7 +31,7 @@ JOINT_EFFECTS = tuple(
     n for n, e in EFFECTS.items() if e.install is not None and n not in ("external_push", "clock_rate")
 )
 SAID = {"direction": "angles and torques are counted the other way", "offset": "N·m off all along"}
-"""Words of a mistake that stands beside the first one, as what fits as well."""
+"""Words of a second mistake that fits as well as the first."""
 KINDS = ("torque sign", "direction", "zero", "degrees", "milliseconds", "exchanged", "gear", "offset")
 
 

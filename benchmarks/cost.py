@@ -2,7 +2,7 @@
 
 The paper's planar arm (see planar_paper.py, ε .1), every size in a process of its own. Other K: its
 first links, or more like its second (1 m, .3 kg), in steps of .01 s. Seconds of the filter alone,
-and beside it those of the Gauss–Newton smoother that its guide is made of (once for all filters; without the refits,
+and next to it those of the Gauss–Newton smoother that its guide is made of (once for all filters; without the refits,
 whose pilot runs are runs of the same filter). The sweeps count seconds of CPU on one thread, which do not depend on
 what else the machine is doing; --one gives wall time too. Memory is the process's largest resident size (ru_maxrss)
 above what it was before.

@@ -1,7 +1,7 @@
 """What every number of the decision rule decides: verdicts at half and twice its value, on cases that are known.
 
 Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
-done again under each rule (:class:`invdyn.diagnosis.rules.Rules`), all but filters and fits to held-out rows, so
+done again under each rule (:class:`invdyn.diagnosis.rules.Rules`), all but filters and fits to covered-out rows, so
 that one case takes seconds. A verdict is what is said (a cause, no gap, outside, not enough data), whether it matters,
 and the ambiguity set. Writes ``decision_sensitivity.md``. Pools are pickles,
 which run code when they are read: give your own alone.
@@ -31,7 +31,7 @@ CONFIRM = ROOM.confirm_all
 KNOWN: dict[tuple[int, str], Any] = {}
 """What SMC said, by search and cause."""
 DECIDE = ("evidence", "residual")
-"""Groups of numbers that are changed here: those of held-out rows need fits, other ones say how hard to look."""
+"""Groups of numbers that are changed here: those of covered-out rows need fits, other ones say how hard to look."""
 ELSEWHERE = {"temper_scale_within", "min_dprime", "clear_dprime", "clear_se", "max_filter_se", "engine_error_step"}
 """Of intervals, of the report and of SMC, which are not done again here."""
 SEARCHED = re.compile("(spike|slab|limb|path|size|decay|noise|memory|tail|prior_sds|edge|initial|interval)")
@@ -72,11 +72,11 @@ def said(bound: Any, found: Any, missing: tuple) -> Said:
     large = matters(bound, none, best, before, tolerated(bound, path))
     likely, alone = max(((key, p) for key, (_, p) in weighed.causes.items()), key=lambda each: each[1])
     named = sorted(((p, key) for key, (cause, p) in weighed.causes.items() if cause.effects), reverse=True)
-    held, rivals = 0.0, set[str]()
+    covered, rivals = 0.0, set[str]()
     for p, key in named:
-        if held <= bound.rules.evidence.credible_mass * sum(each for each, _ in named):
+        if covered <= bound.rules.evidence.credible_mass * sum(each for each, _ in named):
             rivals.add(key)
-            held += p
+            covered += p
     outside = weighed.outside > alone
     return Said("outside" if outside else likely or "no gap", large, frozenset(rivals), alone, weighed.outside)
 
@@ -103,10 +103,10 @@ def changed(name: str, value: Any, factor: float) -> Any:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("pools", type=Path)
-    asked = arguments.parse_args()
+    given = arguments.parse_args()
     ROOM.confirm_all = remembered
     searches = {}
-    for pool in sorted(asked.pools.glob("*.pickle")):
+    for pool in sorted(given.pools.glob("*.pickle")):
         found = pickle.loads(pool.read_bytes())
         bound = found.problem
         before, _, path = residual(bound, found.pool[""])

@@ -5,14 +5,15 @@ Cases are made once; any version of the code then diagnoses the same files:
 
     python benchmarks/development.py make CASES --seed 7000 --kinds commanded=12,two=4,leave_one_out=4
     python benchmarks/development.py run CASES --out OLD       with one version of the code on the path
-    python benchmarks/development.py run CASES --out NEW       with another; goes on where it ended
+    python benchmarks/development.py run CASES --out NEW       with another; continues where it ended
     python benchmarks/development.py score CASES OLD NEW       rates with 90 % intervals, and where the two differ
 
 What a search found is kept with ``--pools FOLDER``, and taken from there if it is known: what is decided afterwards is
 then compared on the very same causes. They are pickles, which run code when they are read: keep them in a folder that
-is yours alone, and read nobody else's. ``--only`` takes some of the cases.
+is yours alone, and read no other file. ``--only`` takes some of the cases.
 
-Case n of a kind has seed + n, whatever else is asked for. Intervals are Jeffreys'. Seconds are those of the processor.
+Case n of a kind has seed + n, independently of the other kinds. Intervals are Jeffreys'. Seconds are those of the
+processor.
 """
 
 import argparse

@@ -7,7 +7,7 @@ Truth: the measured motor torque less the friction that the lab identified (mode
 averaged over each frame; "links" also takes off what turns the motors' own rotors (gear² I_r θ̈ and its
 coupling, from the encoders at 500 Hz), as the body here has links and no rotors.
 
-Beside it, filter-and-differentiate: zero-phase Butterworth (order 4) on the inverse-kinematics angles,
+Next to it, filter-and-differentiate: zero-phase Butterworth (order 4) on the inverse-kinematics angles,
 differentiated twice, inverse dynamics. Its cut-off is the best in hindsight, one for each run ("best
 Butterworth") or even one for each joint ("per joint").
 

@@ -2,8 +2,8 @@
 
 The measured motor torque is the command, the encoders (every fifth row, 100 rows/s) what is seen, and the body the
 rigid part of the lab's model_2.0: no friction, no rotors. The runs of `--fit` are diagnosed together, those of
-`--held-out` tell how far each effect closes the gap there, and what was found is then asked for the torque of every one
-of them, beside the lab's own identified friction and rotor inertia: all of it, those effects that surely close
+`--held-out` show how far each effect closes the gap there, and what was found then predicts the torque of every one
+of them, next to the lab's own identified friction and rotor inertia: all of it, those effects that certainly close
 something of these runs (chosen by their predictions, not by the torque), and friction alone.
 
 Torque that a model asks for along a measured motion, less the measured one, rms N·m:
@@ -57,7 +57,7 @@ def seen(run: str) -> Recording:
 
 
 def smooth(truth: Truth) -> tuple[np.ndarray, ...]:
-    """Time, angle, velocity, acceleration and torque on 500 rows/s, low-passed alike."""
+    """Time, angle, velocity, acceleration and torque on 500 rows/s, low-passed by one filter."""
     fine = np.arange(truth.time[0], truth.time[-1], 0.002)
     at = truth.at(fine)
     b, a = butter(4, CUTOFF, fs=500.0)
@@ -107,7 +107,7 @@ def arm_on(times: np.ndarray, u: np.ndarray, body: Body, effects: list[dict]) ->
         means = {name: p["mean"] for name, p in each["parameters"].items() if not name.startswith("bristle_")}
         part = part.nonideal() if {"settling", "softness"} & means.keys() else part
         parts.append(part)
-        if each["effect"] == "torque_ripple":  # as it is told, A sin(Nθ + φ)
+        if each["effect"] == "torque_ripple":  # as it is reported, A sin(Nθ + φ)
             size, phase = means.pop("amplitude"), means.pop("phase")
             means |= {"sine": size * np.cos(phase), "cosine": size * np.sin(phase)}
         values |= {f"effect.{part.key}.{name}": torch.tensor([mean]).double() for name, mean in means.items()}

@@ -1,11 +1,11 @@
 """Diagnoses of robots in space: is the effect named at the right joint, with how much work, and what the copy is worth.
 
-MuJoCo plays the turret arm of `tests/in_space.py`, three hinges, the Franka Emika Panda of `tests/trees.py` (which says
-where its numbers are from), seven, or twelve, that and its first five again, under torques that are held for 10 ms. One
-thing is otherwise than in the file: friction or a rotor at some joint, a payload, late motors, or nothing. Encoders
-have noise of .2 mrad. The whole catalogue is looked at with the default budget. For each case: the verdict's effect,
-its probability, the parameter over the true one, how many candidates there were and how many the budget had no time
-for, and seconds of CPU.
+MuJoCo simulates the turret arm of `tests/in_space.py`, three hinges, the Franka Emika Panda of `tests/trees.py` (which
+says where its numbers are from), seven, or twelve, that and its first five again, under torques that are constant for
+10 ms. One thing is otherwise than in the file: friction or a rotor at some joint, a payload, late motors, or nothing.
+Encoders have noise of .2 mrad. The whole catalogue is looked at with the default budget. For each case: the verdict's
+effect, its probability, the parameter over the true one, how many candidates there were and how many the budget had no
+time for, and seconds of CPU.
 
     python benchmarks/diagnose_in_space.py [--robots arm panda twelve] [--seconds 10] [--only 0 3] [--results FILE]
 """
@@ -55,7 +55,7 @@ CASES: dict[str, list[tuple[str, str, float, dict[str, Any]]]] = {
         ("", "", 0.0, {}),
     ],
 }
-"""Effect, its parameter and size, and how MuJoCo is told."""
+"""Effect, its parameter and size, and what changes in MuJoCo."""
 
 
 def run(robot: str, number: int, seconds: float, folder: Path, workers: int) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 A DFKI log is as in `diagnose_dfki.py` (encoders at 100 rows/s under the measured torque, the rigid part of the lab's
 model_2.0), a swing as in `diagnose_real.py` (3 s, passive). Every recording has a process of its own, so that its
-memory is its own: the largest resident sizes of it and of the process beside it, added up, in which what the two share
+memory is its own: the largest resident sizes of it and of the second process, added up, in which what the two share
 counts twice. Seconds of CPU are those of both; wall time says what else the machine did.
 
     INVDYN_DATA=… OMP_NUM_THREADS=1 python benchmarks/diagnose_logs.py [--workers 2] [--budget SECONDS] [NAME …]

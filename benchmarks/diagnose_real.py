@@ -1,4 +1,4 @@
-"""What the diagnosis says of other people's recordings, where nobody knows the answer.
+"""What the diagnosis says of other people's recordings, whose answer is not known.
 
 ibm     passive swings of a toy double pendulum, the last 3 s of each; documented: its lengths, and that it has no
         motor. Masses are those of uniform rods, stated as known to 30 %. Two swings are diagnosed together, and the

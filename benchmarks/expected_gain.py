@@ -1,10 +1,10 @@
 """How far a refinement gets beyond the screen: the numbers behind :func:`invdyn.diagnosis.hypotheses.pool.needed`.
 
 Of every development case (``benchmarks/development.py make``) with known torques, the ``MOST`` best of the screen are
-refined beside "no effect", then those beside the best single effect that was found, whatever they promise. With s nats
-that a candidate gains over its base in the screen and r by its refinement, the table has quantiles of r − s by s, and
-by what the base leaves. The line below it says what share of the candidates that end within ``NEAR`` nats of the best
-one the rule would have refined. One file a case; goes on where it ended.
+refined together with "no effect", then those together with the best single effect found, for any promised gain. With s
+nats that a candidate gains over its base in the screen and r by its refinement, the table has quantiles of r − s by s,
+and by what the base leaves. The line below it says what share of the candidates that end within ``NEAR`` nats of the
+best one the rule would have refined. One file a case; continues where it ended.
 
     python benchmarks/expected_gain.py --cases CASES --out MEASURED
 """
@@ -108,16 +108,16 @@ def main() -> None:
     arguments.add_argument("--cases", type=Path, default=Path("build/ablation_cases"))
     arguments.add_argument("--out", type=Path, default=Path("build/expected_gain"))
     arguments.add_argument("--only", default="", help="cases of these kinds")
-    asked = arguments.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    for case in sorted(path.parent for path in asked.cases.glob("*/answer.json")):
-        there, kind = asked.out / f"{case.name}.json", case.name.rpartition("-")[0]
+    given = arguments.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    for case in sorted(path.parent for path in given.cases.glob("*/answer.json")):
+        there, kind = given.out / f"{case.name}.json", case.name.rpartition("-")[0]
         known = json.loads((case / "case.json").read_text())["regime"] in ("commanded", "passive")
-        if there.exists() or not known or (asked.only and kind not in asked.only.split(",")):
+        if there.exists() or not known or (given.only and kind not in given.only.split(",")):
             continue
         there.write_text(json.dumps({"rows": measured(case)}))
         print(case.name, flush=True)
-    rows = [row for path in sorted(asked.out.glob("*.json")) for row in json.loads(path.read_text())["rows"]]
+    rows = [row for path in sorted(given.out.glob("*.json")) for row in json.loads(path.read_text())["rows"]]
     print(table(rows))
     print()
     print(kept(rows))

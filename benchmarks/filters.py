@@ -208,7 +208,7 @@ def measured(
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--particles", type=int, nargs="+")
-    parser.add_argument("--seconds", type=float, default=40, help="for each number of particles, beside compiling")
+    parser.add_argument("--seconds", type=float, default=40, help="for each number of particles, without compiling")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--device", default="cpu")
     parser.add_argument(

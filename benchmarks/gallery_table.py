@@ -10,7 +10,7 @@
 
 Smoothed means are right if the rms over rows of the error of their mean over runs is at most 3 times its standard error
 (with one run, that of its draws' ESS), or below ``SMALL`` posterior sd. Bands of all runs' draws together are right if
-they hold 87 to 93 % of the exact posterior, whatever path was simulated. A variational method's means may be off by one
+they hold 87 to 93 % of the exact posterior, for any simulated path. A variational method's means may be off by one
 posterior sd; what its bands hold is stated, and not judged.
 """
 

@@ -1,4 +1,4 @@
-"""Filters on a GPU beside the CPU of the same machine: the paper's arm in the plane and in space.
+"""Filters on a GPU and on the CPU of the same machine: the paper's arm in the plane and in space.
 
 The controlled guide is fitted on the CPU in both cases and is not timed. Up to 1,000 particles a run keeps all rows,
 for smoothing, and none beyond. log Ẑ is of the mean over 64 filters, with the sd of one of them: the same on both

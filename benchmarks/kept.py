@@ -1,4 +1,4 @@
-"""Results of a long benchmark, a line of JSON a case: a stop loses nothing, and the same call goes on."""
+"""Results of a long benchmark, a line of JSON a case: a stop loses nothing, and the same call continues."""
 
 import json
 import subprocess

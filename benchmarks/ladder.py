@@ -7,7 +7,7 @@ resampling at every row. Its two errors, averaged over recordings (2,000 there) 
     ε_x = mean of |m̂_t − m_t|²     squared Euclidean distance of the filter's weighted mean from Kalman's
     ε_y = mean of |1 − p̂(y_t | y_<t) / p(y_t | y_<t)|     relative error of each row's likelihood factor
 
-Beside it the same filter with systematic resampling below half of N, and the controlled guide, exact for
+Next to it the same filter with systematic resampling below half of N, and the controlled guide, exact for
 this model. That guide sees all of y: its filter's ε_x is its mean without the twist, and its last column the
 squared distance of its own (twisted) mean from Kalman's smoother, which for N independent exact draws is
 trace(P_t)/N, in brackets. What has no Monte Carlo error at all is log Ẑ.

@@ -8,7 +8,7 @@ yaw and pitch, whose velocities walk; walk, noise and both lengths are fitted by
 
 Of each hundred frames three stretches are hidden: 1, 5 and 10 frames long. For each: the share of hidden coordinates
 inside the posterior predictive 50 and 90 % intervals; the rms error of the predictive mean, and that of a straight line
-between the frames next to the stretch. Lengths stand beside the quartiles of the distances in the recording. `--out`
+between the frames next to the stretch. Lengths stand next to the quartiles of the distances in the recording. `--out`
 has figure and film made of the same posterior, the film of `--shown` frames.
 
     python benchmarks/mouse.py [--frames 0:5110] [--method laplace] [--family gaussian] [--out FOLDER [--shown 0:300]]
@@ -42,7 +42,7 @@ MOUSE = Tree(
     ],
     gravity=(0.0, 0.0, 0.0),
 )
-"""Its masses play no part."""
+"""Its masses have no influence."""
 
 
 def session(frames: slice) -> np.ndarray:

@@ -1,15 +1,15 @@
 """A robot with seven joints from its encoders alone: the torques that moved it, against filter-and-differentiate.
 
-The robot is the Franka Emika Panda of `tests/trees.py`, which says where its numbers are from. MuJoCo plays it, from
-our file of it (`write_mjcf`), in steps of 1 ms by Runge–Kutta: a computed torque follows sums of five sinusoids of .1
-to 1 Hz, each with an amplitude of sd .1 rad (as in J. Swevers and others, "Optimal robot excitation and
+The robot is the Franka Emika Panda of `tests/trees.py`, which says where its numbers are from. MuJoCo simulates it,
+from our file of it (`write_mjcf`), in steps of 1 ms by Runge–Kutta: a computed torque follows sums of five sinusoids of
+.1 to 1 Hz, each with an amplitude of sd .1 rad (as in J. Swevers and others, "Optimal robot excitation and
 identification", IEEE Transactions on Robotics and Automation 13, 1997), and white torques of 2 % of each joint's, held
 for 50 ms, disturb it. Its encoders are read at 100 Hz with the given noise; torques are hidden. For each seed, rms
 errors of torque over joints, N·m, and the share of true torques in the 90 % intervals, of
 
     ours         `infer` from these encoders: noise, σ_τ and λ fitted; the smoothed mean torque
     hindsight    a Butterworth filter forth and back, differences, inverse dynamics; of 25 cut-offs, one for each joint,
-                 those that come nearest to the truth, which nobody could know
+                 those that come nearest to the truth, which no method could know
     residual     the same with Winter's cut-offs, by residual analysis, as one would choose them
 
 and seconds of CPU of ours on one thread. A tenth of the rows at each end does not count: filters end badly there.

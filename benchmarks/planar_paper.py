@@ -6,7 +6,7 @@ torques from their stationary law, whose sd is 1.05 N·m. The noise ε of angles
 standard deviation of .01 and of .1 per step.
 
 For each seed: 64 filters of 100 particles with the controlled guide, 8 smoothed trajectories of each;
-beside it 64 bootstrap filters of 1,000 particles. Outer ESS of the 64 filters; the sd over them of log Ẑ;
+next to it 64 bootstrap filters of 1,000 particles. Outer ESS of the 64 filters; the sd over them of log Ẑ;
 the share of the 2 × 200 true torques that lie inside the smoothed 90 % intervals; seconds of CPU on
 one thread, from the known parameters to the smoothed posterior.
 

@@ -1,4 +1,4 @@
-"""Projection and pixel likelihood: points a second, for one thread of torch, beside numpy's and OpenCV's projection.
+"""Projection and pixel likelihood: points a second, for one thread of torch, and numpy's and OpenCV's projection.
 
 A state is P keypoints in space, seen by C cameras with Brown's distortion; N states at once, as many as particles. A
 pass is projection and likelihood with a bias; `gradient` is that pass and its derivatives by the points.

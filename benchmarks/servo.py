@@ -4,7 +4,7 @@
 
 Each case: a random arm of two hinges hanging in the vertical plane, links of .2 to .4 m and .4 to 1.5 kg, with damping,
 a rotor and a position servo at each joint. The true robot differs by one thing: friction, viscous or dry, or a rotor at
-one of the joints, a load at its end, or motors that act late. MuJoCo plays 4 s of it, at 50 rows/s, encoders off by
+one of the joints, a load at its end, or motors that act late. MuJoCo simulates 4 s of it, at 50 rows/s, encoders off by
 .2 mrad. Servos are as stiff as holds the arm level with .1 to .3 rad of error; sizes follow its weight and inertia.
 The rest is as in :mod:`write_back`.
 """

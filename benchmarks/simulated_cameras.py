@@ -11,7 +11,7 @@ errors taken for white, of the same size. "points": triangulated, then inferred,
 
     python benchmarks/simulated_cameras.py [--seeds 20] [--cases two three …] [--fit] [--results FILE]
 
-With `--results` a line a seed is kept, and the same call goes on where it was stopped.
+With `--results` a line a seed is kept, and the same call continues where it was stopped.
 """
 
 import argparse
@@ -40,7 +40,7 @@ NOISE, BIAS, LASTS, LOST = 1.5, 6.0, 0.3, 0.05
 """px, px, s, and the share of detections that are missing."""
 OFFSET = 0.02
 FARTHEST = 1.2
-"""rad, of a pitch: motions through a pole of their angles, at a quarter turn, are drawn anew."""
+"""rad, of a pitch: motions through a pole of their angles, at a quarter turn, are drawn again."""
 HANGING = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 KEYPOINTS = ("elbow", "wrist")
 TORQUE = {"torque.scale": 0.7, "torque.decay": 4.0}

@@ -3,7 +3,7 @@
 Setting, as the paper's code has it (github.com/danbider/aesmc, test/run-3d-arm.ipynb): shoulder and elbow with yaw and
 pitch, links of 1 m, .5 and .3 kg, gravity 1, step .01 s, 200 rows, OU torque with σ_τ 2 in the printed scaling and λ 2,
 ε 4e-5, keypoint variance .01, all parameters known. Angles and velocities start from N(0, .001). Torques start from
-their stationary law (sd .10 N·m); in the code they begin at sd .03. Beside it keypoints of sd .01 and .003.
+their stationary law (sd .10 N·m); in the code they begin at sd .03. With it keypoints of sd .01 and .003.
 
 For each seed: 64 filters of 100 particles, 8 smoothed trajectories of each. Outer ESS of the 64 filters; the sd over
 them of log Ẑ; the share of true torques, angles and velocities inside the smoothed 90 % intervals; the rms error of
@@ -12,9 +12,9 @@ seconds of CPU on one thread, from the known parameters to the smoothed posterio
 known start says which of their aliases is meant. The last table is the paper's planar arm, at its own settings.
 
 *The file's axes* are those that the truth was drawn in: the model is right, and near the pole of an elbow's angles its
-posterior has heavy tails. *Axes from the data* are what `infer` takes where nobody gives a start (`arm_problem`): a
-joint whose motion comes to a pitch of 60° is turned. The prior is then of torques about other axes than the truth's,
-and the start is read off the first row; results are told in the file's axes for both.
+posterior has heavy tails. *Axes from the data* are what `infer` takes where no start is given (`arm_problem`): a
+joint whose motion comes to a pitch of 60° is rotated. The prior is then of torques about other axes than the truth's,
+and the start is read off the first row; results are given in the file's axes for both.
 
     python benchmarks/spatial_paper.py [--seeds 20] [--noise .1 .01 .003] [--turned .1] [--no-planar] [--results FILE]
 """
@@ -61,10 +61,10 @@ def turned_problem(filed: Problem, noise: float) -> Problem:
 
 
 def in_axes_of(filed: Tree, rotated: Tree, draws: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Angles, velocities and torques (..., K) of a tree of two sticks, told in the axes of another of the same links.
+    """Angles, velocities and torques (..., K) of a tree of two sticks, given in the axes of another of the same links.
 
-    Directions give angles. Sites move alike, J q̇ = J' q̇', so that velocities map by M = J'⁺ J, and torques, whose work
-    is the same, by its transposed inverse.
+    Directions give angles. Sites move equally, J q̇ = J' q̇', so that velocities map by M = J'⁺ J, and torques, whose
+    work is the same, by its transposed inverse.
     """
     if rotated == filed:
         return draws
@@ -88,7 +88,7 @@ def in_axes_of(filed: Tree, rotated: Tree, draws: dict[str, np.ndarray]) -> dict
 
 
 def score(problem: Problem, filed: Tree | None, seed: int) -> dict[str, float]:
-    """One row of a table; ``filed`` is the tree in whose axes the truth is told, None where it is the problem's."""
+    """One row of a table; ``filed`` is the tree in whose axes the truth is given, None where it is the problem's."""
     start = time.process_time()
     idata = smc(problem, options=SIZES, seed=seed)
     seconds = time.process_time() - start

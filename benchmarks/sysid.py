@@ -1,4 +1,4 @@
-"""Side by side with MuJoCo's own `sysid`, on the same logs: told which number is wrong, told nothing; and ours.
+"""Side by side with MuJoCo's own `sysid`, on the same logs: given which number is wrong, given nothing; and ours.
 
     python benchmarks/sysid.py [--cases 10] [--seed 50000] [--results FILE] [--ours FILE]       needs mujoco[sysid]
 
@@ -100,14 +100,14 @@ def fitted(made: SimulatedCase, effect: str, known: bool, folder: Path) -> dict:
     zeros = np.array([link.parts.zero for link in made.body.links if link.parts is not None])
     log = made.first
     fine = np.arange(round(log.time[-1] / model.opt.timestep) + 1) * model.opt.timestep
-    held = commands(model, made.body, log).control[np.searchsorted(log.time, fine + 1e-9, side="right") - 1]
+    controls = commands(model, made.body, log).control[np.searchsorted(log.time, fine + 1e-9, side="right") - 1]
     angles = zeros - np.asarray(log.angles)
     sequences = sysid.ModelSequences(
         "robot",
         spec,
         "log",
         sysid.create_initial_state(model, np.zeros(2), np.zeros(2)),
-        sysid.TimeSeries.from_control_names(fine, held, model),
+        sysid.TimeSeries.from_control_names(fine, controls, model),
         # its rollouts stamp sensors, which are those of a step's beginning, with the step's end
         sysid.TimeSeries.from_names(log.time + model.opt.timestep, angles, model),
     )
@@ -152,19 +152,19 @@ def wrong_number(effect: str) -> str:
 
 def row(name: str, rows: Sequence[tuple[str, dict]]) -> str:
     """A line of the table, of (effect, result)."""
-    off, held, moved = [], [], []
+    off, covered, moved = [], [], []
     for effect, result in rows:
         wrong = wrong_number(effect)
         value, width, true = result["numbers"].get(wrong, [np.nan, np.nan, np.nan])
         off.append(abs(value - true) / true if np.isfinite(value) else np.inf)
-        held.append(bool(abs(value - true) <= width))
+        covered.append(bool(abs(value - true) <= width))
         others = [each for key, each in result["numbers"].items() if key != wrong]
         moved.append(sum(abs(v - t) > w for v, w, t in others))
     left = [result["left"] for _, result in rows]
     has = [o for o in off if np.isfinite(o)]
     error = f"{100 * np.median(has):.2g} %" if has else ""
     return (
-        f"| {name} | {len(rows)} | {len(has)} | {error} | {sum(held)} | {np.mean(moved):.1f} | "
+        f"| {name} | {len(rows)} | {len(has)} | {error} | {sum(covered)} | {np.mean(moved):.1f} | "
         f"{100 * np.median(left):.2g} % | {sum(x <= 0.1 for x in left)} | "
         f"{np.mean([result['cpu_s'] for _, result in rows]):.1f} |"
     )

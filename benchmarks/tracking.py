@@ -87,7 +87,7 @@ def dfki(steps: int, method: str, seed: int) -> None:
     chosen = set(different(film, 100, unlabelled.tolist()))
     for turn in ("100 labels", "one round of relabelling"):
         mine = np.isin(labels.frames, list(chosen))
-        held = reliable & ~mine
+        held_out = reliable & ~mine
         start = time.process_time()
         trained = train(examples([film], [labels.chosen(mine)]), steps=steps, seed=seed, progress=_say)
         training = time.process_time() - start
@@ -97,11 +97,11 @@ def dfki(steps: int, method: str, seed: int) -> None:
         points, confidence = tracks[labels.frames, :, :2], tracks[labels.frames, :, 2]
         error = np.linalg.norm(points - labels.points, axis=-1)
         print(f"\nconfidence, {turn}")
-        calibration(confidence[held], error[held])
-        elbow, tip = np.median(error[held], 0)
+        calibration(confidence[held_out], error[held_out])
+        elbow, tip = np.median(error[held_out], 0)
         table.append(
-            f"| {turn} ({mine.sum()}) | {training:.0f} | {pace:.0f} | {held.sum()} | {elbow:.2f} / {tip:.2f} | "
-            f"{np.mean(error[held] > FAR):.2%} | {torques(metres(rows, points), body, method)} |"
+            f"| {turn} ({mine.sum()}) | {training:.0f} | {pace:.0f} | {held_out.sum()} | {elbow:.2f} / {tip:.2f} | "
+            f"{np.mean(error[held_out] > FAR):.2%} | {torques(metres(rows, points), body, method)} |"
         )
         longer = body.with_values(length=[0.3, 0.22])  # the tracked disc sits beyond the link's end
         options = {"method": "laplace", "family": "student_t", "hide_torque": True, "seed": 0}

@@ -8,7 +8,7 @@ step      The paper's planar arm (200 rows, 16 × 100 particles, controlled guid
 memory    The same arm, longer: peak memory of a process that makes the guide and one SVI step, with the whole graph
           and with 50 rows of it at a time; 20 rows give what imports alone need.
 learn     The same arm: lengths from (1.20, .70) and masses from (.30, .40), truth (1, 1) and (.5, .3), 156 steps
-          (4 × 50 particles), the guide made anew at the parameters so far every four; beside it the maximum
+          (4 × 50 particles), the guide made again at the parameters so far every four; next to it the maximum
           of the linearised evidence and its posterior sd, which is what this much data can tell.
 coverage  The same arm and the same wrong start, by the method "vsmc" (50 steps; 128 filters of 50 particles, each with
           its own lengths and masses, prior e^(±2) round the start): on --sets simulated recordings of --frames rows,
@@ -45,9 +45,9 @@ from invdyn.models import LinearGaussian, StateSpaceModel
 LEARNED = ("body.length", "body.mass")
 WRONG = {"body.length": (1.20, 0.70), "body.mass": (0.30, 0.40)}
 STEPS, FRESH = 156, 4
-"""Steps of learning, and after how many of them the guide is made anew: it holds the model where it was made."""
+"""Steps of learning, and after how many of them the guide is made again, for the parameters so far."""
 RATE, SLOWER = 0.05, 0.1
-"""Learning rate at first, of each guide anew, and the factor by which that of the model falls over all steps."""
+"""Learning rate at first, of each new guide, and the factor by which that of the model falls over all steps."""
 
 
 def published() -> tuple[LinearGaussian, torch.Tensor]:

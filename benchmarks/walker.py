@@ -1,9 +1,9 @@
-"""A walker's arms from subsets of four cameras, beside the triangulation that comes with the data.
+"""A walker's arms from subsets of four cameras, against the triangulation that comes with the data.
 
 `multiview_walker` (60 frames/s, 100 frames, eight keypoints by MediaPipe): reprojection error in the cameras used and
 in those left out, lengths of upper arm and forearm, median distance from the points of all four cameras, and the
-standard deviation that a point states. Nobody measured the arms: what counts is that a length stays the same, over time
-and over subsets.
+standard deviation that a point states. The arms were not measured: what counts is that a length stays the same, over
+time and over subsets.
 
     INVDYN_DATA=… python benchmarks/walker.py
 """

@@ -3,11 +3,11 @@
 `multiview_walker` (60 frames/s, 100 frames, MediaPipe). The arm hangs on a shoulder that is carried about. Lengths of
 upper arm and forearm, noise, and what lasts of the tracker's errors are fitted by marginal likelihood; torques' size is
 given. Both ways get the same cameras and tracks, whose left and right are put in order first, each camera by itself.
-Pixels have one thing more: each camera may be turned about its place, by a prior of `TURN`. Triangulated points leave
+Pixels have one thing more: each camera may be rotated about its place, by a prior of `TURN`. Triangulated points leave
 all keypoints of a camera off together, by up to 13 px, and half a degree a camera explains that.
 
-Nobody measured the arm: what counts is that subsets agree with all four cameras within their stated intervals, and that
-a camera that was left out is predicted at the nominal rate. It is turned by an amount nobody knows, and its noise is
+The arm was not measured: what counts is that subsets agree with all four cameras within their stated intervals, and
+that a camera that was left out is predicted at the nominal rate. It is rotated by an unknown amount, and its noise is
 that of a camera and a keypoint that were used. Intervals are of the posterior: lengths and noise are drawn from the
 fit's Gaussian, turns and paths given those. Masses are textbook ones, so torques are known but for a factor.
 
@@ -47,7 +47,7 @@ RATE = 60.0
 TURN = 0.01
 """rad about each axis, 17 px: how far off a camera's stated orientation may be."""
 TORQUE = {"torque.scale": [60.0, 60.0, 150.0, 5.0, 5.0, 1.0, 2.5], "torque.decay": 4.0}
-"""N and N·m: what carries the shoulder bears a trunk's weight; a swinging arm takes some N·m."""
+"""N and N·m: what carries the shoulder carries a trunk's weight; a swinging arm takes some N·m."""
 DRAWS, EACH = 16, 15
 """Of what was fitted, and of paths for each."""
 MOST = 10
@@ -112,7 +112,7 @@ def problem_of(way: str, views: Views) -> tuple[Problem, list[Free]]:
 
 
 def reprojected(calibration: Calibration, points: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
-    """Pixels (N, T, C, P, 2) of points (N, T, P, 3) in cameras turned by (N, C, 3)."""
+    """Pixels (N, T, C, P, 2) of points (N, T, P, 3) in cameras rotated by (N, C, 3)."""
     cameras = moved(pinhole(calibration), turn[:, None], torch.zeros_like(turn[:, None]))
     return project(cameras, points)[0]
 
@@ -129,7 +129,7 @@ def covered(expected: torch.Tensor, white: torch.Tensor, lasting: torch.Tensor, 
     ``white`` and ``lasting`` (N, ·) are σ and β of those that were used, by draw; what lasts is marginal.
     """
     count, _, cameras, points, _ = expected.shape
-    # Of each draw, camera and keypoint one size: which one of those used it is like, nobody knows.
+    # Of each draw, camera and keypoint one size: it is not known which one of those used it is like.
     which = torch.randint(white.shape[1], (count, cameras * points))
     sizes = [each.gather(1, which).reshape(count, 1, cameras, points, 1) for each in (white, lasting)]
     outliers = torch.distributions.StudentT(df, 0.0, 1.0).sample(expected.shape)
@@ -140,7 +140,7 @@ def covered(expected: torch.Tensor, white: torch.Tensor, lasting: torch.Tensor, 
 
 
 def answer(way: str, used: Views, rest: Views | None) -> dict:
-    """Fit, draw, and what is told of the draws: means and deviations of lengths, angles and torques; errors, px."""
+    """Fit, draw, and the summary of the draws: means and deviations of lengths, angles and torques; errors, px."""
     started = time.process_time()
     problem, free = problem_of(way, used)
     found = fit_at_mode(problem.model, problem.observations, free, max_iterations=MOST)

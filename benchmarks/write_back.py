@@ -1,4 +1,4 @@
-"""How much of the nominal file's error a corrected file takes away, rolled out by MuJoCo on a log nobody has fitted.
+"""How much of the nominal file's error a corrected file takes away, rolled out by MuJoCo on a log that was not fitted.
 
     python benchmarks/write_back.py [--cases 40] [--seed 50000] [--workers 1] [--told] [--results FILE]
 
@@ -7,7 +7,7 @@ effect, and two logs of the true one (encoders, .2 mrad). The first is diagnosed
 the file and the true file replay the second. Excess error: mean square angle error less the true file's, which is what
 noise in the start states makes. An answer is right where its best cause is the effect at its joint and no other.
 `--told` leaves all but the true effect out of the catalogue: it measures the writing, given a right answer. Cases in
-`--results`, a line each, are not played again. :mod:`servo` has robots whose motors are position servos.
+`--results`, a line each, are not simulated again. :mod:`servo` has robots whose motors are position servos.
 """
 
 import argparse
@@ -100,7 +100,7 @@ def payload(mass: float, place: str) -> Change:
 
 
 def motors(rng: np.random.Generator) -> Robot:
-    """The robot whose motors are told torques."""
+    """The robot whose motors are given torques."""
     u = rng.uniform
     found = {
         "viscous_friction.elbow": joint("elbow", "damping", u(0.2, 0.5)),
@@ -218,7 +218,7 @@ def summary(results: Sequence[dict]) -> str:
 
 
 def run(make: Callable[[np.random.Generator], Robot], what: str, cases: int, seed: int) -> None:
-    """Play, diagnose and print all cases, a line each, and a table."""
+    """Simulate, diagnose and print all cases, a line each, and a table."""
     options = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--cases", type=int, default=cases)
     options.add_argument("--seed", type=int, default=seed)
