@@ -103,7 +103,7 @@ def cli_page() -> str:
 def draw_effect(kind: type, file: Path) -> None:
     """Draw what an effect does to the arm: two paths of a coordinate, with it and without, and their difference."""
     with torch.random.fork_rng():
-        time, ideal, real = ideal_arm().time.numpy(), ideal_path(), _seen(arm_with(kind))
+        time, ideal, real = ideal_arm().time.numpy(), ideal_path(), simulated_keypoints(arm_with(kind))
     shown = int(np.nanargmax(np.nanstd(real - ideal, axis=0)))
     style = {"font.size": 9, "svg.hashsalt": kind.__name__, "axes.spines.top": False, "axes.spines.right": False}
     with plt.rc_context(style):
@@ -139,7 +139,7 @@ def ideal_arm():
 @cache
 def ideal_path() -> np.ndarray:
     """Its elbow and wrist as seen, (T, 4) m."""
-    return _seen(ideal_arm())
+    return simulated_keypoints(ideal_arm())
 
 
 def arm_with(kind: type):
@@ -161,7 +161,8 @@ def likely(prior: Distribution) -> torch.Tensor:
     return torch.as_tensor(value, dtype=torch.float64).reshape(1)
 
 
-def _seen(model) -> np.ndarray:
+def simulated_keypoints(model) -> np.ndarray:
+    """What a model's sensors give, (T, 4) m, from a fixed seed."""
     torch.manual_seed(1)
     _, observations = model.simulate()
     return observations[:, :4].numpy()

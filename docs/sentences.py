@@ -88,11 +88,11 @@ def docstrings() -> list[Sentence]:
     for place, tree in sources():
         for node in _public(tree):
             name = getattr(node, "name", "")
-            found += sentences(_prose(ast.get_docstring(node) or ""), f"{place} {name}".strip())
+            found += sentences(running_text(ast.get_docstring(node) or ""), f"{place} {name}".strip())
     return found
 
 
-def _prose(docstring: str) -> str:
+def running_text(docstring: str) -> str:
     """Without tables and formulas; what is said of one argument is a paragraph."""
     prose, section = [], False
     for line in docstring.splitlines():

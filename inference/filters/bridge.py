@@ -93,11 +93,11 @@ class Bridge:
 
         end_state = stretch[..., -1:, :]
         both = torch.stack([torch.cat([proposed, end_state], -2), stretch])
-        new, old = self._log_omega(t, both, known).unbind(0)
+        new, old = self.log_omega(t, both, known).unbind(0)
         accept = torch.log(torch.rand_like(new)) < new - old
         return torch.where(accept[..., None, None], proposed, stretch[..., :-1, :])
 
-    def _log_omega(self, t: int, stretch: Tensor, known: Tensor) -> Tensor:
+    def log_omega(self, t: int, stretch: Tensor, known: Tensor) -> Tensor:
         """Log ω of stretches (…, ℓ + 2, D); see the top of the file."""
         middle = stretch[..., 1:-1, :]
         rows = torch.arange(t + 1, t + self.block + 1)

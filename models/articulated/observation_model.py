@@ -94,8 +94,8 @@ class ObservationModel:
     def _ahead(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
         """θ so many ``seconds`` (..., 1) after row ``t``, (..., K)."""
         if not self.mechanics.effects.has_servo:
-            return self._to_third_order(state, t, body, seconds)
-        before = self._to_third_order(state, t, body, seconds.clamp_max(0.0))
+            return self.to_third_order(state, t, body, seconds)
+        before = self.to_third_order(state, t, body, seconds.clamp_max(0.0))
         return torch.where(seconds > 0, self._integrated(state, t, body, seconds.clamp_min(0.0)), before)
 
     def _integrated(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
@@ -113,7 +113,7 @@ class ObservationModel:
             *pieces, q, qd = self.mechanics.step(drive, join(*pieces), q, qd)
         return q
 
-    def _to_third_order(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
+    def to_third_order(self, state: Tensor, t: Row, body: Any, seconds: Tensor) -> Tensor:
         """The same by the formula at the top of the file."""
         z, q, qd = self.layout.split(state)
         command = self.motors.ahead(t, seconds)

@@ -81,7 +81,7 @@ def bundle_adjust(
             )
         if "distortion" in intrinsics and camera.fisheye:
             raise InputError(f"camera {camera.name!r} has a fisheye lens, whose distortion stays as it is")
-    problem = _Bundle(calibration, pixels[known], trust[known] * used[known], start.scale, tuple(intrinsics))
+    problem = BundleProblem(calibration, pixels[known], trust[known] * used[known], start.scale, tuple(intrinsics))
     vector, converged = problem.fit(problem.pack(start.points[known]), rounds)
     cameras, points = problem.unpack(vector)
     adjusted, factor = _rescaled(calibration, replace(calibration, cameras=tuple(cameras)))
@@ -116,7 +116,7 @@ def _rescaled(before: Calibration, after: Calibration) -> tuple[Calibration, flo
 
 
 @dataclass(frozen=True)
-class _Bundle:
+class BundleProblem:
     """Parameters in one vector: 6 a camera but the first (rotation vector, shift), then its lens's, then 3 a point."""
 
     calibration: Calibration
@@ -171,15 +171,15 @@ class _Bundle:
         """Weights and least squares in turn, until the cost stays; the last vector, and whether it did."""
         cost = np.inf
         for _ in range(rounds):
-            square = (self._errors(vector) ** 2).sum(-1)
+            square = (self.pixel_errors(vector) ** 2).sum(-1)
             before, cost = cost, 0.5 * (DEGREES_OF_FREEDOM + 2) * np.log1p(square / DEGREES_OF_FREEDOM).sum()
             if before - cost < 1e-7 * cost:
                 return vector, True
             root = np.sqrt((DEGREES_OF_FREEDOM + 2) / (DEGREES_OF_FREEDOM + square))
             vector = least_squares(
-                lambda v, root=root: (root[..., None] * self._errors(v)).ravel(),
+                lambda v, root=root: (root[..., None] * self.pixel_errors(v)).ravel(),
                 vector,
-                jac=lambda v, root=root: self._jacobian(v, root),
+                jac=lambda v, root=root: self.jacobian(v, root),
                 x_scale="jac",
                 tr_solver="lsmr",
                 tr_options={"atol": 1e-9, "btol": 1e-9, "maxiter": 500},
@@ -187,7 +187,7 @@ class _Bundle:
             ).x
         return vector, False
 
-    def _errors(self, vector: np.ndarray) -> np.ndarray:
+    def pixel_errors(self, vector: np.ndarray) -> np.ndarray:
         """(C, M, 2) projection less pixel, in σ; 0 of a pixel that is not there."""
         cameras, points = self.unpack(vector)
         rows = []
@@ -196,7 +196,7 @@ class _Bundle:
             rows.append(np.sqrt(self.trust[:, c, None]) * miss / self.sigma)
         return np.stack(rows)
 
-    def _jacobian(self, vector: np.ndarray, root_weight: np.ndarray) -> csr_matrix:
+    def jacobian(self, vector: np.ndarray, root_weight: np.ndarray) -> csr_matrix:
         """Of the weighted misses, by blocks: each pixel depends on one camera and one point."""
         cameras, points = self.unpack(vector)
         many = len(points)

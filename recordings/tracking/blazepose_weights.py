@@ -58,7 +58,7 @@ def load_networks(progress: Callable[[int, int, str], None] | None = None) -> di
         if progress is not None:
             progress(0, 1, what)
         with tempfile.TemporaryDirectory() as folder:
-            contents |= _unpack(_download(Path(folder)))
+            contents |= _unpack(download_wheel(Path(folder)))
         if progress is not None:
             progress(1, 1, what)
     return {which: run_by_litert(content) for which, content in contents.items() if content is not None}
@@ -111,7 +111,7 @@ def _unpack(wheel: Path) -> dict[str, bytes]:
     return contents
 
 
-def _download(folder: Path) -> Path:
+def download_wheel(folder: Path) -> Path:
     """The wheel, whose hash pip itself has checked. Raises InputError when pip fails."""
     requirement = folder / "requirement.txt"
     requirement.write_text(f"{WHEEL} --hash=sha256:{SHA256}\n")

@@ -41,6 +41,6 @@ def test_prose_is_no_formula():
 def test_a_picture_shows_the_effect_of_the_formula(written):
     """A camera's roll has a mean of 0 and no quantiles written down; a gain has another form, a forgotten gear."""
     for name, least, most in (("camera_roll", 2e-3, 2e-2), ("actuator_gain", 1e-2, 0.2)):
-        apart = np.abs(written._seen(written.arm_with(EFFECTS[name])) - written.ideal_path())
+        apart = np.abs(written.simulated_keypoints(written.arm_with(EFFECTS[name])) - written.ideal_path())
         assert least < apart.max() < most, name
         assert written.at_last_place(EFFECTS[name]).form is None

@@ -24,7 +24,7 @@ def test_prose_alone_is_counted(measure):
 
 
 def test_what_is_said_of_an_argument_is_a_sentence_of_its_own(measure):
-    prose = measure._prose(
+    prose = measure.running_text(
         "What it does.\n\nArgs:\n    one: the first of\n        two.\n    two: another.\n\n    y = x\n"
     )
     assert [each.text for each in measure.sentences(prose, "")] == ["What it does.", "one: the first of two."]

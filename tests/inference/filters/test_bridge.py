@@ -35,7 +35,7 @@ def test_every_move_is_accepted_on_a_linear_model(block, t):
     # ω is one constant for all stretches that end in the same state
     many = torch.cat([torch.randn(50, block + 1, 3, dtype=F64), stretch[0, 0, -1:].expand(50, 1, 3)], -2)
     end = many[..., -1, :] - bridge.path[t + block + 1]
-    omega = bridge._log_omega(t, many, torch.cat([end, torch.ones(50, 1, dtype=F64)], -1))
+    omega = bridge.log_omega(t, many, torch.cat([end, torch.ones(50, 1, dtype=F64)], -1))
     assert (omega - omega[0]).abs().max() < 1e-8 * (1 + omega.abs().max())
 
 

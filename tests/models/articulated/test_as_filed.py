@@ -179,12 +179,12 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
         later = view.angles_after(torch.tensor([0.02 * rows], dtype=dtype))
         # a straight line stands for a command that jumps within a stretch
         np.testing.assert_allclose(later, q[rows], atol=2e-4)
-    third_order = model.observation_model._to_third_order(
+    third_order = model.observation_model.to_third_order(
         state, 3, model.body_parameters(), torch.tensor([0.04], dtype=dtype)
     )
     assert (third_order - q[2]).abs().max() > 0.02
     ago = torch.tensor([-0.002], dtype=dtype)
-    back = model.observation_model._to_third_order(states[1], 4, model.body_parameters(), ago)
+    back = model.observation_model.to_third_order(states[1], 4, model.body_parameters(), ago)
     assert torch.equal(model.observation_model.view(states[1], 4).angles_after(ago), back)
     np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
 

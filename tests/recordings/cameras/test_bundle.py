@@ -7,7 +7,7 @@ import pytest
 from scenes import moved, ring, swinging
 
 from invdyn.recordings import InputError
-from invdyn.recordings.cameras.bundle import _Bundle, bundle_adjust
+from invdyn.recordings.cameras.bundle import BundleProblem, bundle_adjust
 from invdyn.recordings.cameras.camera import Calibration
 from invdyn.recordings.cameras.projection import project
 
@@ -71,16 +71,16 @@ def test_a_focal_length_moves_only_if_asked():
 
 
 def test_the_jacobian_is_that_of_differences():
-    problem = _Bundle(TRUE, PIXELS[:3], np.ones((3, 4)), 2.0, ("focal", "distortion"))
+    problem = BundleProblem(TRUE, PIXELS[:3], np.ones((3, 4)), 2.0, ("focal", "distortion"))
     rng = np.random.default_rng(4)
     vector = problem.pack(POINTS[:3])
     vector[: problem.camera_size] = rng.normal(0, 0.05, problem.camera_size)
     root = rng.uniform(0.5, 1, (4, 3))
 
     def weighted(v):
-        return (root[..., None] * problem._errors(v)).ravel()
+        return (root[..., None] * problem.pixel_errors(v)).ravel()
 
-    exact = problem._jacobian(vector, root).toarray()
+    exact = problem.jacobian(vector, root).toarray()
     for k, step in enumerate(1e-6 * np.eye(len(vector))):
         slope = (weighted(vector + step) - weighted(vector - step)) / 2e-6
         np.testing.assert_allclose(exact[:, k], slope, rtol=1e-5, atol=1e-4)

@@ -143,7 +143,7 @@ def test_damaged_weights_are_fetched_again(monkeypatch, tmp_path, damage):
 
     monkeypatch.setattr(blazepose_weights.platformdirs, "user_cache_dir", lambda name: str(tmp_path))
     monkeypatch.setattr(blazepose_weights, "CONTENT", pinned)
-    monkeypatch.setattr(blazepose_weights, "_download", download)
+    monkeypatch.setattr(blazepose_weights, "download_wheel", download)
     load_networks()
     load_networks()
     assert len(downloads) == 1  # a complete file is not fetched again
