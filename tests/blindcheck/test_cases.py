@@ -156,7 +156,7 @@ def test_the_visibility_of_an_effect_is_that_of_its_change(hasty):
 @pytest.mark.long
 @pytest.mark.parametrize(("seed", "tries"), [(301, 1), (718, 2)])  # the second needs a damped search for its start
 def test_backlash_that_is_never_crossed_is_not_visible(seed, tries, monkeypatch, coarse_steps):
-    """A link that hangs on one side of its gear's play moves as it would without, from another angle."""
+    """A link that hangs on one side of its gear's backlash moves as it would without, from another angle."""
     monkeypatch.setattr(cases, "MAX_DRAWS", tries)
     (effect,) = make_case(seed, "commanded", "backlash").answer["effects"]
     assert effect["parameters"]["width"]["value"] > 0.005
@@ -190,7 +190,7 @@ def test_the_room_stays_independent():
 
 
 def test_a_body_that_cannot_be_is_drawn_again(monkeypatch, hasty):
-    """A link that has lost more than its mass, which grown sizes may take."""
+    """A link whose change takes away more than its mass, which grown sizes may do."""
     monkeypatch.setattr(cases, "WEAK_FACTOR", 10.0)
     monkeypatch.setattr(cases, "MAX_DRAWS", 16)
     case = make_case(1, "weak", "inertial_error")

@@ -34,7 +34,7 @@ FOUND = {
 
 @pytest.fixture
 def place():
-    """A run's folder that every user may enter, with a case, another one, and a seed's file beside it."""
+    """A run's folder that every user may enter, with a case, another one, and a seed's file next to it."""
     place = Path(tempfile.mkdtemp())
     place.chmod(0o755)
     for case in ("case-0000", "case-0001"):
@@ -113,7 +113,7 @@ def test_a_user_that_is_not_there(place):
 
 
 def test_the_words_of_a_container(place):
-    """Whatever is installed here: the run's folder is empty in it, the seed's file too, and the case cannot change."""
+    """With any tools installed: the run's folder is empty in it, the seed's file too, and the case cannot change."""
     keeps = Confined(container=True, hidden=(place / "run", place / "seed.txt"))
     words = keeps.container_command(place / "run/cases/case-0000", place / "run/out")
     text = " ".join(words)

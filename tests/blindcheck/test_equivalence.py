@@ -1,4 +1,4 @@
-"""The exact equivalences hold in the played reality itself: another effect, the same picture."""
+"""The exact equivalences hold in the simulated reality itself: another effect, the same picture."""
 
 import numpy as np
 import pytest
