@@ -139,30 +139,6 @@ def dense_posterior(F, a, L, E, e, m0, V=None):
     )
 
 
-def dense_log_evidence(chain, y):
-    """Log p(y) with missing entries marginalised, from the joint covariance of all of y."""
-    steps = len(y)
-    mean, cov = [chain.m], [chain.P]
-    for _ in range(steps - 1):
-        mean.append(chain.A @ mean[-1])
-        cov.append(chain.A @ cov[-1] @ chain.A.T + chain.Q)
-    size = len(chain.R)
-    joint = np.zeros((steps, size, steps, size))
-    for s in range(steps):
-        across = cov[s]
-        for t in range(s, steps):
-            block = chain.C @ across.T @ chain.C.T  # x_t = A^(t−s) x_s + noise
-            joint[s, :, t] = block
-            joint[t, :, s] = block.T
-            across = chain.A @ across
-        joint[s, :, s] += chain.R
-    flat = y.ravel()
-    seen = np.isfinite(flat)
-    S = joint.reshape(steps * size, -1)[np.ix_(seen, seen)]
-    surprise = flat[seen] - np.concatenate([chain.C @ m for m in mean])[seen]
-    return -0.5 * (surprise @ np.linalg.solve(S, surprise) + np.linalg.slogdet(2 * np.pi * S)[1])
-
-
 CHAIN_DIM = 3
 
 

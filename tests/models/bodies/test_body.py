@@ -27,12 +27,6 @@ def arm(**upper):
     )
 
 
-@pytest.fixture(autouse=True)
-def clean_parameters():
-    pyro.clear_param_store()
-    pyro.set_rng_seed(0)
-
-
 # --- files ----------------------------------------------------------------------------------------
 
 
