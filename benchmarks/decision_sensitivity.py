@@ -1,7 +1,7 @@
 """What every number of the decision rule decides: verdicts at half and twice its value, on cases that are known.
 
 Searches come from ``benchmarks/development.py run CASES --out OUT --pools POOLS``; what is decided of their causes is
-done again under each rule (:class:`invdyn.diagnosis.rules.Rules`), all but filters and fits to covered-out rows, so
+done again under each rule (:class:`invdyn.diagnosis.rules.Rules`), all but filters and fits to held-out rows, so
 that one case takes seconds. A verdict is what is said (a cause, no gap, outside, not enough data), whether it matters,
 and the ambiguity set. Writes ``decision_sensitivity.md``. Pools are pickles,
 which run code when they are read: give your own alone.
@@ -31,7 +31,7 @@ CONFIRM = ROOM.confirm_all
 KNOWN: dict[tuple[int, str], Any] = {}
 """What SMC said, by search and cause."""
 DECIDE = ("evidence", "residual")
-"""Groups of numbers that are changed here: those of covered-out rows need fits, other ones say how hard to look."""
+"""Groups of numbers that are changed here: those of held-out rows need fits, other ones say how hard to look."""
 ELSEWHERE = {"temper_scale_within", "min_dprime", "clear_dprime", "clear_se", "max_filter_se", "engine_error_step"}
 """Of intervals, of the report and of SMC, which are not done again here."""
 SEARCHED = re.compile("(spike|slab|limb|path|size|decay|noise|memory|tail|prior_sds|edge|initial|interval)")
