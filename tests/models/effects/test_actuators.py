@@ -139,7 +139,7 @@ VALUES = {
 
 
 @pytest.mark.parametrize("backwards", [False, True])
-def test_motors_are_a_chain_whatever_the_order_in_which_it_is_said(backwards, arm):
+def test_motors_are_a_chain_in_any_order_of_arguments(backwards, arm):
     """A limit cuts a lag's exponential within the row, which a row's straight line does not show."""
     model = ArmModel(arm(2).body, TIME, command=GIVEN).with_effects(*CHAIN[:: -1 if backwards else 1])
     sets = {key: torch.tensor([value, 0.5 * value], dtype=F64).reshape(2, 1, 1) for key, value in VALUES.items()}
@@ -171,7 +171,7 @@ def test_rows_that_are_split_are_the_same_lines():
 
 
 @pytest.mark.parametrize(("effect", "name"), [(ActuatorDelay("joint1"), "delay"), (ActuatorLag(), "time_constant")])
-def test_what_motors_were_told_before_a_recording_acts_on(effect, name, arm, having):
+def test_commands_before_a_recording_act_on(effect, name, arm, having):
     """Its sd stays while a dead time lasts, and falls with a lag's time constant; at each recording's beginning.
 
     The variance of an Ornstein–Uhlenbeck torque, step by step, against its closed form.

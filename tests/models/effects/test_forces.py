@@ -153,7 +153,7 @@ def test_a_push_gives_its_impulse(start, stop, having):
     assert np.ptp(qd[int(stop / 0.005) + 2 :]) == 0.0
 
 
-def test_a_push_is_told_as_a_force_between_two_moments():
+def test_a_push_is_reported_as_a_force_between_two_moments():
     values = {"impulse_x": 0.6, "impulse_y": -0.3, "moment": 1.0, "duration": 0.2}
     given = {name: torch.tensor([value], dtype=F64) for name, value in values.items()}
     told = CATALOGUE["external_push"].reported(ExternalPush("tip"), given)
@@ -194,7 +194,7 @@ def test_a_shaken_base(arm, having, states):
     torch.testing.assert_close(torque_of(model, ideal, x, t), load[1] - load[0], rtol=1e-5, atol=1e-7)
 
 
-def test_a_shaken_base_is_told_as_amplitude_and_phase():
+def test_a_shaken_base_is_reported_as_amplitude_and_phase():
     for phase in (0.4, -2.8, 3.0):
         amplitude = np.array([0.02, -0.006])
         values = {}

@@ -144,10 +144,10 @@ def test_what_pulls_at_a_link_bends_it(effect, other, values, having):
     assert np.abs(bent[:, 0] - straight[:, 0]).max() > 0.02
 
 
-# -- play ------------------------------------------------------------------------------------------
+# -- backlash ------------------------------------------------------------------------------------------
 @pytest.fixture
 def pushed(having):
-    """A weightless rod with play under a torque that turns over after half of the time."""
+    """A weightless rod with backlash under a torque that turns over after half of the time."""
 
     def run(width, rows=401, step=0.0025, level=0.2):
         command = np.where(np.arange(rows) < rows // 2, level, -level)[:, None]
@@ -190,7 +190,7 @@ def test_an_impact_within_a_step_moves_no_centre_of_inertia(step, having):
 
 @pytest.mark.long
 def test_in_the_gap_the_link_coasts_for_as_long_as_the_rotor_needs(pushed):
-    """The rotor, of inertia J = I_com/2, crosses the width in √(2 w J/τ); after it the impulse is as without play.
+    """The rotor, of inertia J = I_com/2, crosses the width in √(2 w J/τ); after it the impulse is as without backlash.
 
     It comes back from the stop at e of the speed it struck at, and strikes again 2e times that later; then for 2e².
     """

@@ -1,4 +1,4 @@
-"""Softer forms: dry friction and stops against fine integration, and against MuJoCo's own with its default options."""
+"""Non-ideal variants: dry friction and stops against fine integration, and against MuJoCo with its default options."""
 
 import numpy as np
 import pytest
@@ -114,7 +114,7 @@ def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
 
 @pytest.mark.quick("0.8")
 @pytest.mark.parametrize("level", [0.3, 0.8])
-def test_mujocos_default_friction_is_the_softer_one(level, having):
+def test_mujocos_default_friction_is_the_regularised_one(level, having):
     """A rod swings, comes to rest and creeps: thirty times as near to it as under the ideal law."""
     theirs = in_mujoco(f'frictionloss="{level}"', 0.5, 0.0, rows=300)
     ideal = rod(rows=300, step=0.01, gravity=(0.0, -9.81))
@@ -126,7 +126,7 @@ def test_mujocos_default_friction_is_the_softer_one(level, having):
 
 
 @pytest.mark.long
-def test_mujocos_default_stop_is_the_softer_one(having):
+def test_mujocos_default_stop_is_the_regularised_one(having):
     """A rod falls onto it: within 1.5 mrad, which no spring and damper come to."""
     theirs = in_mujoco('range="-9 0.1" limited="true"', -0.6, 2.0, gravity=9.81)
     base = rod(rows=100, step=0.01, gravity=(0.0, 9.81))
@@ -142,7 +142,7 @@ def test_mujocos_default_stop_is_the_softer_one(having):
 
 @pytest.mark.quick("upper-1.0")
 @pytest.mark.parametrize(("side", "sign"), [("upper", 1.0), ("lower", -1.0)])
-def test_a_steady_torque_presses_a_softer_stop_in_by_its_softness(side, sign, having):
+def test_a_steady_torque_presses_a_regularised_stop_in_by_its_softness(side, sign, having):
     """e = R τ / k; that from which its search begins is as deep as the ideal one, τ / k."""
     command = torch.full((301, 1), sign * 2.0, dtype=F64)
     model, stop = rod(rows=301, command=command), JointLimit("hinge", side)
@@ -156,7 +156,7 @@ def test_a_steady_torque_presses_a_softer_stop_in_by_its_softness(side, sign, ha
         assert q[-1, 0] == pytest.approx(sign * (0.5 + depth), abs=1e-5)
 
 
-def test_whatever_presses_a_softer_stop_is_taken(having):
+def test_a_regularised_stop_yields_to_any_load(having):
     """A spring as a command does."""
     effects = (JointLimit("hinge").nonideal(), JointStiffness("hinge"))
     model = rod(rows=301, command=torch.zeros(301, 1, dtype=F64)).with_effects(*effects)
@@ -182,7 +182,7 @@ def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
 
 
 def test_a_ripple_that_is_no_pure_sine(having):
-    """Its second harmonic, by the amplitude and phase that are told of it."""
+    """Its second harmonic, by the amplitude and phase that are reported."""
     values = {"sine": 0.3, "cosine": -0.2, "periods": 7.0, "second_sine": 0.05, "second_cosine": 0.12}
     effect, ideal = TorqueRipple("hinge").nonideal(), rod()
     told = CATALOGUE.of(effect).reported(effect, {name: torch.tensor([value]) for name, value in values.items()})
@@ -199,7 +199,7 @@ def test_a_ripple_that_is_no_pure_sine(having):
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_a_softer_form_is_the_same_effect_with_more_parameters(name, arm):
+def test_a_variant_is_the_same_effect_with_more_parameters(name, arm):
     model = arm(2)
     every = EFFECTS[name].everywhere(model.body, model.body.keypoint_names)
     ideal = next(effect for effect in reversed(every) if effect.form is None).bound(model.body)

@@ -1,4 +1,4 @@
-"""Play through impacts: against scipy's event location, and by the order of convergence."""
+"""Backlash through impacts: against scipy's event location, and by the order of convergence."""
 
 from functools import cache
 
@@ -119,7 +119,7 @@ def test_errors_fall_with_the_fourth_power_through_contacts_too():
     assert (fine / finest > 8).all()
 
 
-def test_a_row_is_the_same_whatever_stands_beside_it():
+def test_a_row_is_the_same_in_any_batch():
     """To the bit: how often others touch changes nothing."""
     rows = 61
     model = ArmModel(BODY, 0.02 * np.arange(rows), Observation(Keypoints([0, 1]))).with_effects(PLAY)
