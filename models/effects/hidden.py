@@ -125,8 +125,8 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        points = planar_dynamics(q.shape[-1] + 1).keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body))
-        return self._tracked(points)
+        whole: Dynamics = planar_dynamics(q.shape[-1] + 1)
+        return self._tracked(whole.keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body)))
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
         """What the K tips do; see :func:`tip_motion`."""

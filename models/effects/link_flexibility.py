@@ -15,6 +15,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.body import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
+from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Effect, Parameter, Scale, Values, as_variant
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
@@ -92,7 +93,8 @@ class LinkFlexibility(HiddenHinge):
 
     def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.step`."""
-        links, whole = self.chain(p, row.body), planar_dynamics(q.shape[-1] + 1)
+        links = self.chain(p, row.body)
+        whole: Dynamics = planar_dynamics(q.shape[-1] + 1)
         stiff = torch.isinf(p["stiffness"])
 
         def held(q: Tensor, qd: Tensor, s: float) -> Tensor:
