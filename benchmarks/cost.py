@@ -53,7 +53,7 @@ def chain_problem(rows: int, joints: int):
     from planar_paper import paper_problem
 
     from invdyn.inference import Problem
-    from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+    from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
     from invdyn.simulate import PAPER, record
 
     if joints == 2:
@@ -63,7 +63,7 @@ def chain_problem(rows: int, joints: int):
     links = [Link(f"link{k}", *names[k : k + 2], length=1.0, mass=masses[k]) for k in range(joints)]
     # A long chain's last links whip round, and explicit Euler with steps of .03 s would blow that up.
     model = ArmModel(
-        Body("chain", links, gravity=(0.0, -1.0)),
+        planar_body("chain", links, gravity=(0.0, -1.0)),
         0.01 * np.arange(rows),
         Observation(Keypoints(range(joints))),
         torque=PAPER["torque"],

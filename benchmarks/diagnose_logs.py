@@ -42,7 +42,7 @@ SWINGS = tuple(f"ibm-{number}" for number in range(10))
 
 def given(name: str) -> tuple:
     """Recording, body and whether it is passive."""
-    from invdyn.models import Body
+    from invdyn.models import Body, planar_body
 
     if name in DFKI:
         from diagnose_dfki import BODY, seen
@@ -58,7 +58,7 @@ def given(name: str) -> tuple:
     stated = {"mass": 0.1} if name == "stated" else {}
     factor = 1.1 if name in ("heavy", "stated") else 1.0
     links = [replace(link, mass=factor * mass) for link, mass in zip(ARM.links, MASSES, strict=True)]
-    body = Body(ARM.name, links, gravity=ARM.gravity, uncertainty=stated)
+    body = planar_body(ARM.name, links, gravity=ARM.gravity, uncertainty=stated)
     return robot_log(**ARMS[name]), body, False
 
 

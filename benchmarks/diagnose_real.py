@@ -18,11 +18,11 @@ import torch
 from invdyn.diagnosis import Diagnosis, diagnose, save
 from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.inputs import load_recording
-from invdyn.models import Body, Link
+from invdyn.models import Body, Link, planar_body
 from invdyn.recordings import Recording, load
 
 ROWS, EVERY = 1200, 2  # the last 3 s, 200 rows/s: before, it whirls, and no simulation follows for long
-PENDULUM = Body(
+PENDULUM = planar_body(
     "IBM's double pendulum",
     [Link("upper", "shoulder", "elbow", 0.091, 0.1), Link("lower", "elbow", "wrist", 0.070, 0.08)],
     gravity=(0.0, -9.81),

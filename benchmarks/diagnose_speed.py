@@ -21,13 +21,13 @@ from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.sensitivity.screen import screen
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
 UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
-ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
+ARM = planar_body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
 CASES = {
     "no gap": None,
     "payload": (EFFECTS["payload"](), {"mass": 0.2}),

@@ -27,18 +27,18 @@ import torch
 
 from invdyn.film import save_film
 from invdyn.inference import infer_kinematics, learned_lengths, pooled
-from invdyn.models import Joint, SpatialLink, Tree
+from invdyn.models import Body, Joint, Link
 from invdyn.plots import plot_posterior, save_figure
 from invdyn.recordings import Recording
 
 RATE, UNIT = 30, "reconstruction units"
 HIDDEN = {1: 10, 5: 40, 10: 75}
 """Length of a hidden stretch, and where it begins in each hundred frames."""
-MOUSE = Tree(
+MOUSE = Body(
     "mouse",
     [
-        SpatialLink("upper_arm", Joint("shoulder", "universal"), length=2.5, tip="elbow", mass=1.0),
-        SpatialLink("forearm", Joint("elbow", "universal"), "upper_arm", length=1.5, tip="wrist", mass=1.0),
+        Link("upper_arm", Joint("shoulder", "universal"), length=2.5, tip="elbow", mass=1.0),
+        Link("forearm", Joint("elbow", "universal"), parent="upper_arm", length=1.5, tip="wrist", mass=1.0),
     ],
     gravity=(0.0, 0.0, 0.0),
 )

@@ -34,7 +34,7 @@ from kept import kept
 
 from invdyn.inference import METHODS, infer, pooled
 from invdyn.inference.methods.differentiate import derivatives, winter_cutoff
-from invdyn.models import TORQUE_PROCESSES, TorqueProcess, Tree, dynamics_for, write_mjcf
+from invdyn.models import TORQUE_PROCESSES, Body, TorqueProcess, dynamics_for, write_mjcf
 from invdyn.recordings import Recording, Truth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -53,7 +53,7 @@ def wanted(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return frequencies, 0.1 * rng.normal(size=(7, 5)), rng.uniform(0, 2 * np.pi, (7, 5))
 
 
-def simulated_case(tree: Tree, seed: int, seconds: float) -> Truth:
+def simulated_case(tree: Body, seed: int, seconds: float) -> Truth:
     """What MuJoCo does with the robot: angles, velocities and torques at the encoders' times."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -87,7 +87,7 @@ def simulated_case(tree: Tree, seed: int, seconds: float) -> Truth:
     return Truth(np.arange(rows) / RATE, angle, velocity, torque, tree.joint_names)
 
 
-def score(tree: Tree, seed: int, noise: float, seconds: float, torque: TorqueProcess, method: str) -> dict[str, float]:
+def score(tree: Body, seed: int, noise: float, seconds: float, torque: TorqueProcess, method: str) -> dict[str, float]:
     truth = simulated_case(tree, seed, seconds)
     measured = truth.angle + noise * np.random.default_rng(seed + 1000).normal(size=truth.angle.shape)
     recording = Recording(

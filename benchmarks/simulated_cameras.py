@@ -30,7 +30,7 @@ from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
-from invdyn.models import ArmModel, Joint, Keypoints, Observation, SpatialLink, Tree
+from invdyn.models import ArmModel, Body, Joint, Keypoints, Link, Observation
 from invdyn.recordings import Recording
 from invdyn.recordings.cameras import Calibration, Camera, Filmed, Views, filmed, project
 
@@ -51,9 +51,9 @@ CASES |= {"two, points": (2, "points"), "four, points": (4, "points")}
 DRAWS = 400
 
 
-def arm() -> Tree:
+def arm() -> Body:
     """Links of .3 and .25 m."""
-    upper = SpatialLink(
+    upper = Link(
         "upper",
         Joint("shoulder", "universal"),
         rotation=HANGING,
@@ -63,8 +63,8 @@ def arm() -> Tree:
         inertia=(0.003, 0.015, 0.015, 0.0, 0.0, 0.0),
     )
     own = (0.002, 0.008, 0.008, 0.0, 0.0, 0.0)
-    fore = SpatialLink("fore", Joint("elbow", "universal"), "upper", length=0.25, tip="wrist", mass=1.2, inertia=own)
-    return Tree("arm", [upper, fore])
+    fore = Link("fore", Joint("elbow", "universal"), parent="upper", length=0.25, tip="wrist", mass=1.2, inertia=own)
+    return Body("arm", [upper, fore])
 
 
 def motion(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ import numpy as np
 import torch
 from mujoco import rollout
 
-from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.body import Body
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -39,14 +39,14 @@ from trees import MuJoCo, panda, paper_arm, pinocchio_of, random_state, twelve_j
 DT = 1e-3
 
 
-def arms() -> list[Tree]:
+def arms() -> list[Body]:
     rod = (0.001, 0.04, 0.04, 0.0, 0.0, 0.0)
     paper = paper_arm()
     links = [dataclasses.replace(link, inertia=rod) for link in paper.links]
-    return [Tree("paper's arm", links, paper.gravity), panda(), twelve_joints()]
+    return [Body("paper's arm", links, paper.gravity), panda(), twelve_joints()]
 
 
-def ours(tree: Tree, N: int, dtype: torch.dtype, compile_after: float, gradient: bool = False) -> Callable:
+def ours(tree: Body, N: int, dtype: torch.dtype, compile_after: float, gradient: bool = False) -> Callable:
     dynamics, p = SpatialDynamics(tree, compile_after), tree.parameters(dtype)
     state = [x.movedim(-1, 0).contiguous().movedim(0, -1) for x in random_state(tree.num_joints, 0, (N,), dtype)]
 
@@ -62,7 +62,7 @@ def ours(tree: Tree, N: int, dtype: torch.dtype, compile_after: float, gradient:
     return step
 
 
-def by_mujoco(tree: Tree, N: int) -> Callable:
+def by_mujoco(tree: Body, N: int) -> Callable:
     engine = MuJoCo(tree)
     model = engine.model
     model.opt.timestep = DT
@@ -75,7 +75,7 @@ def by_mujoco(tree: Tree, N: int) -> Callable:
     return lambda: rollout.rollout(model, data, states, tau[:, None], control_spec=spec, skip_checks=False)
 
 
-def by_pinocchio(tree: Tree, N: int) -> Callable:
+def by_pinocchio(tree: Body, N: int) -> Callable:
     pin, model, _ = pinocchio_of(tree)
     q, qd, tau = (np.asfortranarray(x.numpy().T) for x in random_state(tree.num_joints, 0, (N,)))
     if hasattr(pin, "abaInParallel"):

@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from invdyn.inference import Problem, SMCOptions, arm_problem, pooled
 from invdyn.inference.methods.registry import smc
-from invdyn.models import Tree, dynamics_for
+from invdyn.models import Body, dynamics_for
 from invdyn.models import load_body as load
 from invdyn.models.divergence import Diverged
 from invdyn.simulate import PAPER_IN_SPACE, paper_arm, record
@@ -60,7 +60,7 @@ def turned_problem(filed: Problem, noise: float) -> Problem:
     return replace(bound, truth=filed.truth)
 
 
-def in_axes_of(filed: Tree, rotated: Tree, draws: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def in_axes_of(filed: Body, rotated: Body, draws: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Angles, velocities and torques (..., K) of a tree of two sticks, given in the axes of another of the same links.
 
     Directions give angles. Sites move equally, J q̇ = J' q̇', so that velocities map by M = J'⁺ J, and torques, whose
@@ -87,7 +87,7 @@ def in_axes_of(filed: Tree, rotated: Tree, draws: dict[str, np.ndarray]) -> dict
     return dict(zip(QUANTITIES, (reported, *(each.numpy() for each in moved)), strict=True))
 
 
-def score(problem: Problem, filed: Tree | None, seed: int) -> dict[str, float]:
+def score(problem: Problem, filed: Body | None, seed: int) -> dict[str, float]:
     """One row of a table; ``filed`` is the tree in whose axes the truth is given, None where it is the problem's."""
     start = time.process_time()
     idata = smc(problem, options=SIZES, seed=seed)

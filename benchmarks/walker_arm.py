@@ -31,7 +31,7 @@ from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
-from invdyn.models import Joint, Learned, SpatialLink, Tree
+from invdyn.models import Body, Joint, Learned, Link
 from invdyn.models.observation.pinhole import moved, project
 from invdyn.recordings import Recording
 from invdyn.recordings.cameras import Calibration, Views, filmed, read_calibration, sides_kept, triangulate
@@ -56,17 +56,17 @@ WITHIN = 1.645
 FREE = ("emission.pixel_scale", "emission.bias_scale", "emission.bias_time", "emission.keypoint_scale")
 
 
-def arm() -> Tree:
+def arm() -> Body:
     """Carried shoulder, upper arm and forearm of 2 and 1.3 kg, as de Leva (1996) has them of a body of 75 kg."""
     ball, upper, fore = (
         (*each, 0.0, 0.0, 0.0) for each in ((0.1, 0.1, 0.1), (0.004, 0.017, 0.017), (0.002, 0.011, 0.011))
     )
     place = {"shoulder": (0.0, 0.0, 0.0)}
-    trunk = SpatialLink("trunk", Joint("carried", "translation"), mass=10.0, inertia=ball, sites=place)
-    upper_arm = SpatialLink(
+    trunk = Link("trunk", Joint("carried", "translation"), mass=10.0, inertia=ball, sites=place)
+    upper_arm = Link(
         "upper_arm",
         Joint("shoulder", "ball"),
-        "trunk",
+        parent="trunk",
         origin=(0.0, 0.0, 0.0),
         rotation=AWAY,
         length=Learned(0.3),
@@ -74,10 +74,10 @@ def arm() -> Tree:
         mass=2.0,
         inertia=upper,
     )
-    forearm = SpatialLink(
-        "forearm", Joint("elbow"), "upper_arm", length=Learned(0.3), tip="wrist", mass=1.3, inertia=fore
+    forearm = Link(
+        "forearm", Joint("elbow"), parent="upper_arm", length=Learned(0.3), tip="wrist", mass=1.3, inertia=fore
     )
-    return Tree("right arm", [trunk, upper_arm, forearm])
+    return Body("right arm", [trunk, upper_arm, forearm])
 
 
 def film(every: int) -> Views:

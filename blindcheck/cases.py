@@ -39,7 +39,7 @@ from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.setting import Style
 from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.visibility import visibility
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
 KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
@@ -69,7 +69,7 @@ class Case:
 
     recording: Recording
     other: Recording | None
-    body: Body | Tree
+    body: Body
     regime: str
     without: tuple[str, ...]
     answer: dict
@@ -213,7 +213,7 @@ def _unambiguous(trajectory: Trajectory) -> bool:
 def _record(
     real: Trajectory,
     plan: Plan,
-    body: Body | Tree,
+    body: Body,
     regime: str,
     present: Sequence[Present],
     noise: float,
@@ -235,7 +235,7 @@ def _record(
     missing = rng.random(len(stated)) < style.missing
     missing[0] = False
     points[missing] = np.nan
-    names = (body.base_keypoint, *body.keypoint_names) if style.base and isinstance(body, Body) else body.keypoint_names
+    names = (body.joint_names[0], *body.keypoint_names) if style.base and body.is_chain else body.keypoint_names
     if not style.filmed:
         points, names = points[:, :0], ()
     joints = body.joint_names if regime == "commanded" or angles is not None else ()

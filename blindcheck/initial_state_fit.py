@@ -17,7 +17,7 @@ import numpy as np
 from invdyn.blindcheck.motion import replay
 from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.stretched import pendulum_frequency
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 
 REPLAY_LEAD = 0.1
 """s before the first frame from which the world is replayed: longer than any delay; no earlier motion was recorded."""
@@ -31,7 +31,7 @@ MAX_WINDOW_DOUBLINGS = 3
 
 def unlike_any_start(
     true: Trajectory,
-    body: Body | Tree,
+    body: Body,
     world: Callable[[], World],
     film: Callable[[Trajectory], np.ndarray],
     seen: np.ndarray,

@@ -11,7 +11,7 @@ from invdyn.blindcheck.effects import EFFECTS, OBSERVATIONS
 from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.unlisted_effects import UNLISTED
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 
 CATALOGUE = tuple(EFFECTS)
 FIRST = ("payload", "inertial_error")  # change a link as a whole, so before another cuts it
@@ -42,7 +42,7 @@ def site_of(name: str) -> str:
     return EFFECTS[name].site if name in EFFECTS else "joint"
 
 
-def world_with(body: Body | Tree, present: Sequence[Present], s: Scene, engine: Engine = MUJOCO) -> Any:
+def world_with(body: Body, present: Sequence[Present], s: Scene, engine: Engine = MUJOCO) -> Any:
     """A world of a body with these effects of the dynamics."""
     world = engine.world(body)
     for each in sorted(present, key=lambda e: e.name not in FIRST):
@@ -65,7 +65,7 @@ def shown_by_sensors(present: Sequence[Present]) -> list[Effect]:
     return [(e.name, e.place, e.parameters) for e in present if e.name in OBSERVATIONS]
 
 
-def named(each: Present, body: Body | Tree, dprime: float, rms: float, engine: Engine = MUJOCO) -> dict:
+def named(each: Present, body: Body, dprime: float, rms: float, engine: Engine = MUJOCO) -> dict:
     """The answer's entry of one effect, with the names and units of the catalogue.
 
     Of an engine's own form, parameters that the catalogue has no units for stand in `form`.

@@ -19,7 +19,7 @@ import numpy as np
 
 from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency
-from invdyn.models import Body, Link, Tree
+from invdyn.models import Body, Link, planar_body
 
 NAMES = (("base", "tip"), ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))  # keypoints of 1, 2, 3 links
 FRAME_RATES = (30.0, 50.0, 60.0, 100.0, 120.0, 200.0)  # Hz
@@ -47,7 +47,7 @@ def random_body(rng: np.random.Generator, joints: int, horizontal: bool) -> Body
         inertia = None if rods else float(f"{mass * length**2 * rng.uniform(0.06, 0.12):.4g}")
         links.append(Link(f"link{k + 1}", points[k], points[k + 1], length, mass, com, inertia))
     base = (0.0, 0.0) if rng.random() < 0.7 else tuple(np.round(rng.uniform(-0.3, 0.3, 2) * reach, 4).tolist())
-    return Body("arm", links, (0.0, 0.0) if horizontal else (0.0, -STANDARD_GRAVITY), base)
+    return planar_body("arm", links, (0.0, 0.0) if horizontal else (0.0, -STANDARD_GRAVITY), base)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ IN_THE_PLANE = Habits(planar_posture)
 
 def random_plan(
     rng: np.random.Generator,
-    body: Body | Tree,
+    body: Body,
     passive: bool,
     made: Callable[[Any], Any] = World,
     habits: Habits = IN_THE_PLANE,

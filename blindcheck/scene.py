@@ -14,7 +14,7 @@ import numpy as np
 from invdyn.blindcheck.motion import Plan
 from invdyn.blindcheck.simulator import Trajectory, World
 from invdyn.blindcheck.stretched import pendulum_frequency, reach
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 
 NONIDEAL_FRACTION = 0.4
 """Share of friction, tissue and lenses that are not ideal."""
@@ -41,7 +41,7 @@ class Scene:
         return reach(self.body)
 
 
-def scene(body: Body | Tree, plan: Plan, motion: Trajectory, made: Callable[[Any], Any] = World) -> Scene:
+def scene(body: Body, plan: Plan, motion: Trajectory, made: Callable[[Any], Any] = World) -> Scene:
     """The yardsticks of a motion; a passive one's torque is the load of gravity."""
     some = slice(None, None, max(1, len(motion.time) // 500))
     still = np.zeros_like(motion.q[some])
@@ -57,7 +57,7 @@ def scene(body: Body | Tree, plan: Plan, motion: Trajectory, made: Callable[[Any
     )
 
 
-def motor_torque(body: Body | Tree, motion: Trajectory) -> np.ndarray:
+def motor_torque(body: Body, motion: Trajectory) -> np.ndarray:
     """What motors give in a motion, N·m (C, K): their commands, less what servos answer to angles and velocities."""
     torque, each = motion.command, (len(motion.time) - 1) // (len(motion.command) - 1)
     for k, parts in enumerate(body.joint_parts):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 
 STANDARD_GRAVITY = 9.81
 
@@ -23,9 +23,9 @@ class Stretched(NamedTuple):
     inertia: np.ndarray
 
 
-def stretched(body: Body | Tree) -> Stretched:
+def stretched(body: Body) -> Stretched:
     """The links of a body, one behind the other."""
-    if isinstance(body, Body):
+    if body.is_chain:
         lengths, masses, coms, inertias = (
             np.array([link.nominal(key) for link in body.links]) for key in ("length", "mass", "com", "inertia")
         )
@@ -35,7 +35,7 @@ def stretched(body: Body | Tree) -> Stretched:
     return Stretched(p.mass.numpy(), far, p.inertia[:, :3].mean(-1).numpy())
 
 
-def joints_far(tree: Tree) -> np.ndarray:
+def joints_far(tree: Body) -> np.ndarray:
     """How long the way from the first joint to each link's is, m (L,)."""
     steps, far = np.linalg.norm(tree.parameters().position.numpy(), axis=-1), np.zeros(len(tree.links))
     for link, parent in enumerate(tree.parents):
@@ -43,15 +43,15 @@ def joints_far(tree: Tree) -> np.ndarray:
     return far
 
 
-def reach(body: Body | Tree) -> float:
+def reach(body: Body) -> float:
     """Length of the outstretched body, m; of a tree to its farthest site."""
-    if isinstance(body, Body):
+    if body.is_chain:
         return float(sum(link.nominal("length") for link in body.links))
     far, sites = joints_far(body), iter(np.linalg.norm(body.parameters().sites.numpy(), axis=-1))
     return float(max(far[place] + next(sites) for place, link in enumerate(body.links) for _ in link.points))
 
 
-def pendulum_frequency(body: Body | Tree) -> float:
+def pendulum_frequency(body: Body) -> float:
     """Hz, of the body hanging straight from its first joint, under 9.81 m/s² in any case."""
     mass, far, inertia = stretched(body)
     return float(np.sqrt(STANDARD_GRAVITY * (mass * far).sum() / (inertia + mass * far**2).sum()) / (2 * np.pi))

@@ -59,7 +59,7 @@ def visibility(
         change = np.sqrt(ratio - 1 - np.log(ratio))
     elif regime == "unknown_torque" and each.name not in OBSERVATIONS:
         change = np.zeros(1)
-    elif regime == "unknown_torque" and each.name != "timestamp_jitter" and isinstance(s.body, Body):
+    elif regime == "unknown_torque" and each.name != "timestamp_jitter" and s.body.is_chain:
         # no torque makes one frame alone jump
         change = _misfit(tips(real, present), s.body, noise)
     elif each.name in OBSERVATIONS and each.name not in ("clock_rate", "encoder_offset"):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Thread
 
-from invdyn.models import Body, BodyError, load_body
+from invdyn.models import BodyError, load_body
 from invdyn.recordings import InputError, Recording, read_keypoint_csv, write_text
 
 
@@ -23,7 +23,7 @@ def diagnose_case(case: Path, out: Path, without: Iterable[str] = ()) -> None:
 
     public = json.loads((case / "case.json").read_text(encoding="utf-8"))
     body = load_body(case / "body.toml")
-    base = body.base_keypoint if isinstance(body, Body) else None
+    base = body.base_keypoint
 
     def read(name: str) -> Recording:
         return read_keypoint_csv(case / name, keypoints=body.keypoint_names, joints=body.joint_names, base=base)

@@ -75,13 +75,13 @@ def diagnosis(folder: str) -> None:
     from selenium import webdriver
 
     from invdyn.diagnosis import diagnose, save
-    from invdyn.models import Body, Link
+    from invdyn.models import Link, planar_body
     from invdyn.models.effects import ViscousFriction
     from invdyn.simulate import random_arm, record
 
     upper = Link("upper_arm", joint="shoulder", tip="elbow", length=0.30, mass=1.5)
     fore = Link("forearm", joint="elbow", tip="wrist", length=0.25, mass=1.0)
-    body = Body("arm", [upper, fore], gravity=(0.0, -9.81))
+    body = planar_body("arm", [upper, fore], gravity=(0.0, -9.81))
     arm = random_arm(body, duration=4.0, fps=50, noise=0.002, commanded=True).with_effects(ViscousFriction("elbow"))
     damping = torch.tensor([0.05], dtype=torch.float64)
     recording, _ = record(arm.replace(**{"effect.viscous_friction.elbow.damping": damping}))

@@ -124,10 +124,12 @@ def draw_effect(kind: type, file: Path) -> None:
 @cache
 def ideal_arm():
     """The arm that all effects are drawn on, under a command that sweeps."""
-    from invdyn.models import ArmModel, Body, Link
+    from invdyn.models import ArmModel, Link, planar_body
 
     upper = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5)
-    body = Body("arm", [upper, Link("forearm", "elbow", "wrist", 0.25, 1.0)], gravity=(9.81, 0.0))  # it hangs along x
+    body = planar_body(
+        "arm", [upper, Link("forearm", "elbow", "wrist", 0.25, 1.0)], gravity=(9.81, 0.0)
+    )  # it hangs along x
     time = np.arange(0, 3, 0.01)
     command = np.stack([1.5 * np.sin(3 * time), 0.5 * np.sin(5 * time)], -1)
     # Next to no noise in the motion: an effect on what is seen alone shifts the random numbers.

@@ -18,7 +18,7 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel, Tree
+from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel
 from invdyn.models.articulated.defaults import Value
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
@@ -81,7 +81,7 @@ def infer_kinematics(
     except (KeyError, ValueError) as error:
         raise InputError(f"settings: {error.args[0]}") from None
     learned: dict[str, tuple[int, ...]] = dict(model.body.learned)
-    if learn_lengths and isinstance(model.body, Body):
+    if learn_lengths and model.body.is_chain:
         learned = {"length": tuple(range(model.body.num_joints))}
     free = [
         Free("walk.scale"),
@@ -117,9 +117,9 @@ def _lengths(
     model: KinematicModel, log_sd: Mapping[str, np.ndarray], learned: Mapping[str, tuple[int, ...]]
 ) -> list[tuple[str, float, float]]:
     """Links with length and sd: a chain's, and a tree's sticks, of which it is the x of the tip."""
-    body, name = model.body, "sites" if isinstance(model.body, Tree) else "length"
+    body, name = model.body, "length" if model.body.is_chain else "sites"
     ends = list(body.link_names)
-    if isinstance(body, Tree):
+    if isinstance(body, Body) and not body.is_chain:
         sticks = {link.tip: link.name for link in body.links if link.tip is not None}
         ends = [sticks.get(site, "") if axis == "x" else "" for site in body.keypoint_names for axis in "xyz"]
     values = model.parameters.get(f"body.{name}")

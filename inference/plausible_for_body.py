@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 import torch
 
-from invdyn.models import ArticulatedBody, Body, Tree
+from invdyn.models import ArticulatedBody, Body
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording, check_in_space, check_plausible
 from invdyn.recordings.plausible import BASE
@@ -28,12 +28,12 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
     Keypoints are in the body's frame. Lengths are ``guessed`` where the body does not state them, or the caller says
     so. Of a body of another kind than a chain in the plane or a tree, nothing is checked.
     """
-    if isinstance(body, Body):
+    if isinstance(body, Body) and body.is_chain:
         guessed = guessed or any(not isinstance(link.length, int | float) for link in body.links)
         guessed = guessed or body.uncertainty.get("length", 0.0) > 0
         recording = in_chain_order(recording, body)
         check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units, guessed)
-    elif isinstance(body, Tree):
+    elif isinstance(body, Body):
         numbers, dynamics = body.parameters(), dynamics_for(body)
         turning = {motion.name for _, motion in body.motions() if motion.turns}
         levers = zip(body.joint_names, dynamics.levers(numbers).tolist(), strict=True)
@@ -51,7 +51,7 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
 
 def in_chain_order(recording: Recording, body: Body) -> Recording:
     """The recording with its columns in the order of the chain; keypoints or joints of other names stay as they are."""
-    points = _order(recording.keypoint_names, (body.base_keypoint, *body.keypoint_names))
+    points = _order(recording.keypoint_names, (body.joint_names[0], *body.keypoint_names))
     joints = _order(recording.joint_names, body.joint_names)
 
     if points == sorted(points) and joints == sorted(joints):
@@ -79,15 +79,15 @@ def _order(names: Sequence[str], known: Sequence[str]) -> list[int]:
 
 def slides(body: ArticulatedBody) -> set[str]:
     """Names of the joints that shift."""
-    return {motion.name for _, motion in body.motions() if not motion.turns} if isinstance(body, Tree) else set()
+    return {motion.name for _, motion in body.motions() if not motion.turns} if isinstance(body, Body) else set()
 
 
-def rooted(body: Tree) -> bool:
+def rooted(body: Body) -> bool:
     """Whether all motions are turns, so that no site leaves the first joint's reach."""
     return all(motion.turns for _, motion in body.motions())
 
 
-def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
+def rigid_distances(body: Body) -> dict[tuple[str, str], float]:
     """Distances, m, of two sites that keep it however the body moves."""
     points = _posed(body)
     apart = torch.cdist(points, points).numpy()
@@ -99,7 +99,7 @@ def rigid_distances(body: Tree) -> dict[tuple[str, str], float]:
     return found
 
 
-def distances_of_base(body: Tree) -> dict[tuple[str, str], float]:
+def distances_of_base(body: Body) -> dict[tuple[str, str], float]:
     """Distances, m, from the first joint's place to the sites that keep it."""
     apart = (_posed(body) - body.parameters().position[0]).norm(dim=-1).numpy()
     kept = np.ptp(apart, axis=0) <= ROUNDING * apart.max()
@@ -107,7 +107,7 @@ def distances_of_base(body: Tree) -> dict[tuple[str, str], float]:
     return {(BASE, name): float(length) for name, known, length in places if known}
 
 
-def _posed(body: Tree) -> torch.Tensor:
+def _posed(body: Body) -> torch.Tensor:
     """Sites (poses, P, 3), m, of the body in each of some poses."""
     poses = [[pose + 0.37 * joint for joint in range(body.num_joints)] for pose in POSES]
     points: torch.Tensor = dynamics_for(body).keypoints(torch.tensor(poses, dtype=torch.float64), body.parameters())

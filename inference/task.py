@@ -21,7 +21,7 @@ from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody, Body, TorqueProcess
+from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
 from invdyn.recordings import InputError, Recording, Truth
 
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
@@ -48,7 +48,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]
     learned = dict(body.learned)
-    if learn_lengths and isinstance(body, Body):  # a tree says itself which of its lengths are learned
+    if learn_lengths and body.is_chain:  # a tree says itself which of its lengths are learned
         learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
     wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
     if (pixels := problem.model.observation.pixels) is not None:

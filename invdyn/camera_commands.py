@@ -186,15 +186,13 @@ def _length(text: str, body: str | None) -> Any:
 
     name, equals, number = text.partition("=")
     if body is not None and ":" not in name:
-        from invdyn.models import Tree
-
         from .inputs import load_body
 
         read = load_body(body)
-        if isinstance(read, Tree):
+        if not read.is_chain:
             raise InputError(f"--length {text}: in space write two keypoints, such as shoulder:elbow=0.28")
         links = {link.name: link for link in read.links}
         if name not in links:
             raise InputError(f"--length {text}: the body has no link {name!r}, but {', '.join(links)}")
-        text = f"{links[name].joint}:{links[name].tip}{equals}{number}"
+        text = f"{links[name].joint.name}:{links[name].tip}{equals}{number}"
     return Length.parse(text)

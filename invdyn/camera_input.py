@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.inference.plausible_for_body import check_fits
-from invdyn.models import Body, Tree, dynamics_for
+from invdyn.models import Body, dynamics_for
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras import Filmed, load_filmed
 from invdyn.recordings.reading import Reading
@@ -22,7 +22,7 @@ MAX_SIZE_RATIO = 5.0
 
 def read_cameras(
     files: Sequence[str],
-    body: Body | Tree,
+    body: Body,
     *,
     calibration: Sequence[Path],
     frames: str = ":",
@@ -45,7 +45,7 @@ def read_cameras(
         InputError: a body in the plane, points that are not this body's, or as `load_filmed`.
         OSError: a file that cannot be opened.
     """
-    if not isinstance(body, Tree):
+    if body.is_chain:
         raise InputError(f"{body.name}: cameras see a body in space, this one is in the plane: give it dimensions = 3")
     if guessed:
         raise InputError(
@@ -60,7 +60,7 @@ def read_cameras(
     return [Reading(found.at(frame_range(frames)))]
 
 
-def _check_size(recording: Filmed, body: Tree) -> None:
+def _check_size(recording: Filmed, body: Body) -> None:
     """Refuse points that are much farther from each other, or nearer, than those of the body can be."""
     if len(recording.keypoint_names) < 2:
         return
@@ -75,7 +75,7 @@ def _check_size(recording: Filmed, body: Tree) -> None:
         )
 
 
-def _check_points(recording: Filmed, body: Tree) -> None:
+def _check_points(recording: Filmed, body: Body) -> None:
     """Refuse lengths, names, times and speeds that are not the body's, by the triangulated points."""
     try:
         check_fits(recording.points, body, Units())

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 from invdyn.recordings import InputError
 from invdyn.recordings.reading import Reading, TrackedFilm
 from invdyn.recordings.tracking.film import Film
@@ -20,7 +20,7 @@ Progress = Callable[[int, int, str], None]
 
 def read_film(
     files: Sequence[str],
-    body: Body | Tree,
+    body: Body,
     *,
     tracker: str | None = None,
     person: str | None = None,
@@ -40,7 +40,7 @@ def read_film(
     (name,) = files
     if tracks is None:
         raise InputError(f"{name}: a film has no keypoints yet: run `invdyn track`, and give its tracks")
-    if body.space != 2:
+    if body.dimensions != 2:
         raise InputError(
             f"{body.name}: a film of one camera takes a chain of hinges in the plane, this body moves in space"
         )
@@ -55,7 +55,7 @@ def read_film(
             "make them square first, with ffmpeg's filter scale=iw*sar:ih,setsar=1",
             stacklevel=2,
         )
-    root = base or body.base_keypoint or ""
+    root = base or body.joint_names[0]
     kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
     track_into(tracks, film, tracker, person, kept, progress, (root, *body.keypoint_names))
     (reading,) = read_table(

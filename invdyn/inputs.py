@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 from invdyn.models import load_body as read_body
 from invdyn.models.bodies.body_xml import is_xml
 from invdyn.recordings import InputError, Truth, load, load_truth, names, read_truth, resolved
@@ -61,7 +61,7 @@ SPELLED |= {name: f"--set {name}" for name in ("episodes", "format", "individual
 """Options that a command line spells in another way than the readers do."""
 
 
-def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body | Tree:
+def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
 
     A robot of parallel hinges is a body in space if its ``recording``, read with ``options``, has three coordinates.
@@ -72,7 +72,7 @@ def load_body(name: str, *, filmed: bool = True, recording: str | None = None, *
         return read_body(path, filmed=filmed, dimensions=3 if shown else None)
 
 
-def load_known(name: str, body: Body | Tree) -> Truth:
+def load_known(name: str, body: Body) -> Truth:
     """A truth file, or what a known recording's own sensors measured. Raises InputError or OSError."""
     known = load_truth(name) if not resolved(name).exists() and name in names() else read_truth(name)
     if missing := [joint for joint in body.joint_names if joint not in known.joint_names]:
@@ -107,7 +107,7 @@ def check_options(name: str, sources: Sequence[Source], given: Mapping[str, Any]
         raise InputError(f"{name}: {sources[0].why}: leave {spelled} out, which is for {' or '.join(others)}")
 
 
-def read_recordings(files: Sequence[str], body: Body | Tree, **options: Any) -> list[Reading]:
+def read_recordings(files: Sequence[str], body: Body, **options: Any) -> list[Reading]:
     """The recordings in one file, or in those of several cameras, checked against the body.
 
     ``options`` are those of the readers above; None, and what the files' reader does not take, is left out.

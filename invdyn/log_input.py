@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn.inference.plausible_for_body import slides
-from invdyn.models import Body, Tree
+from invdyn.models import Body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.recordings import InputError, Recording, check_readable
@@ -21,7 +21,7 @@ from .input_names import frame_range
 
 def read_logs(
     name: str,
-    body: Body | Tree,
+    body: Body,
     mapping: str | None = None,
     episodes: Sequence[int] | None = None,
     frames: str = ":",
@@ -54,7 +54,7 @@ def read_logs(
 
 def read_log_files(
     files: Sequence[str],
-    body: Body | Tree,
+    body: Body,
     *,
     frames: str = ":",
     mapping: str | None = None,
@@ -73,7 +73,7 @@ def episode_numbers(text: str) -> list[int]:
         raise InputError(f"episodes are a list of numbers, such as 0,1, got {text!r}") from None
 
 
-def _in_the_bodys_terms(logged: Logged, body: Body | Tree) -> Recording:
+def _in_the_bodys_terms(logged: Logged, body: Body) -> Recording:
     recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
     parts = [own or NOTHING for own in body.joint_parts]
     sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])

@@ -7,17 +7,7 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from invdyn.models import (
-    ArmModel,
-    Body,
-    Encoders,
-    Keypoints,
-    Observation,
-    OrnsteinUhlenbeck,
-    Sensor,
-    Tree,
-    dynamics_for,
-)
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Observation, OrnsteinUhlenbeck, Sensor, dynamics_for
 from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -81,7 +71,7 @@ def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Rec
 
 
 def random_arm(
-    body: Body | Tree,
+    body: Body,
     *,
     duration: float = 6.0,
     fps: float = 30.0,
@@ -163,9 +153,9 @@ def random_arm(
     return model(plan.torque).replace(**{"torque.scale": torch.zeros_like(scale)})
 
 
-def resting(body: Body | Tree) -> list[float]:
+def resting(body: Body) -> list[float]:
     """Coordinates in which a body hangs: of a tree the least potential energy near 0, its shifts being 0, (K,)."""
-    if isinstance(body, Body):
+    if body.is_chain:
         return body.hanging
     dynamics, numbers = dynamics_for(body), body.parameters()
     turning = [motion.turns for _, motion in body.motions() if motion.name not in body.driven_names]
@@ -183,9 +173,9 @@ def resting(body: Body | Tree) -> list[float]:
     return found.tolist()
 
 
-def paper_arm(body: Body | Tree, num_frames: int = 200) -> ArmModel:
+def paper_arm(body: Body, num_frames: int = 200) -> ArmModel:
     """The arm that Biderman et al. (2020) simulate, in the plane at `PAPER`'s settings or in space at the others."""
-    paper, step = (PAPER, 0.03) if body.space == 2 else (PAPER_IN_SPACE, 0.01)
+    paper, step = (PAPER, 0.03) if body.dimensions == 2 else (PAPER_IN_SPACE, 0.01)
     return ArmModel(
         body,
         step * np.arange(num_frames),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn.inference.plausible_for_body import check_fits, rooted, slides
-from invdyn.models import Body, Tree, dynamics_for
+from invdyn.models import Body, dynamics_for
 from invdyn.recordings import FORMATS, InputError, Recording, bridged, in_body_lengths, load, parse_units
 from invdyn.recordings.errors import about
 from invdyn.recordings.formats.registry import recognise
@@ -22,7 +22,7 @@ BODY = "body"
 
 def read_table(
     files: Sequence[str],
-    body: Body | Tree,
+    body: Body,
     *,
     frames: str = ":",
     as_filmed: bool = False,
@@ -65,14 +65,14 @@ def read_table(
             usual = {"s": stated.time, "rad": stated.angle, "m": stated.length}
             missing = [unit for unit, given in usual.items() if given is None]
             options["units"] = ",".join([units, *missing] if units else missing)
-        options["plane"] = plane or (FLAT if body.space == 2 else None)
+        options["plane"] = plane or (FLAT if body.dimensions == 2 else None)
         recording = load(name, joints=body.joint_names, shifting=slides(body), **options)
         return [Reading(recording.at(rows), stated)]
     if isinstance(scale, str) and scale != BODY:
         raise InputError(f"scale: expected metres a pixel, or {BODY!r}, got {scale!r}")
     unscaled = scale == BODY
     options["scale"] = None if unscaled else scale
-    read = _in_plane if body.space == 2 else _in_space
+    read = _in_plane if body.dimensions == 2 else _in_space
     recording, length = read(name, body, base, unscaled, as_filmed, options)
     with about(name):
         check_fits(recording, body, stated, guessed or unscaled)
@@ -80,7 +80,7 @@ def read_table(
         return [Reading(bridged(recording.at(rows), length, first), stated)]
 
 
-def load_recording(name: str, body: Body | Tree, **options: Any) -> Recording:
+def load_recording(name: str, body: Body, **options: Any) -> Recording:
     """The recording in one file; see :func:`read_table`."""
     return read_table([name], body, **options)[0].recording
 
@@ -94,7 +94,7 @@ def _in_plane(
     units = parse_units(options.get("units"))
     stated = any((base, unscaled, options["scale"], units.length, units.angle))
     in_frame = as_filmed and not stated and _is_own(name, options.get("format"))
-    base, tips = base or body.base_keypoint, body.keypoint_names
+    base, tips = base or body.joint_names[0], body.keypoint_names
     if in_frame:
         recording = load(name, **options)
         known = (base, *tips)

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.body import Body
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.observation.observation import Observation
 
@@ -45,7 +45,7 @@ class Sighted:
         encoded: (T, K) what encoders read of coordinates, NaN where there are none.
     """
 
-    def __init__(self, body: Tree, observations: Tensor, observation: Observation, numbers: Any, sd: np.ndarray):
+    def __init__(self, body: Body, observations: Tensor, observation: Observation, numbers: Any, sd: np.ndarray):
         self.body, self.numbers, self.dynamics = body, numbers, dynamics_for(body)
         self.pixels, self.keypoints, self.encoders = observation.pixels, observation.keypoints, observation.encoders
         every = observations.detach().cpu().double().numpy()
@@ -72,7 +72,7 @@ class Sighted:
 
 
 def pose_candidates(
-    body: Tree,
+    body: Body,
     time: np.ndarray,
     observations: Tensor,
     observation: Observation,
@@ -89,7 +89,7 @@ def pose_candidates(
 
 
 def row_poses(
-    body: Tree,
+    body: Body,
     observations: Tensor,
     observation: Observation,
     numbers: Any,
@@ -105,7 +105,7 @@ def row_poses(
     return poses, np.isfinite(sighted.rows).all(1)
 
 
-def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray, encoded: np.ndarray) -> np.ndarray:
+def first_pose(body: Body, rows: np.ndarray, seen: Seen, noise: np.ndarray, encoded: np.ndarray) -> np.ndarray:
     """Coordinates (K,) of the row that shows most, of its aliases the plainest one.
 
     ``encoded`` (T, K) are coordinates as encoders read them, NaN where there is none; what they read has no aliases.
@@ -122,7 +122,7 @@ def first_pose(body: Tree, rows: np.ndarray, seen: Seen, noise: np.ndarray, enco
     return min(alike, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
 
 
-def beyond(body: Tree, pose: np.ndarray) -> int:
+def beyond(body: Body, pose: np.ndarray) -> int:
     """How many joints of several turns a pose (K,) takes past the poles of their angles."""
     count = place = 0
     for link in body.links:

@@ -24,10 +24,9 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.bodies.tree import Tree
-from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.models.observation.observation import Observation
 
@@ -138,9 +137,11 @@ def _(
     time: np.ndarray,
     observations: Tensor,
     observation: Observation,
-    numbers: BodyParameters,
+    numbers: Any,
     sd: np.ndarray,
 ) -> np.ndarray | None:
+    if not body.is_chain:
+        return pose_candidates(body, time, observations, observation, numbers, sd, AGILITY)
     absolute, wrapped = link_angles(observations, observation, numbers)
     if not np.isfinite(absolute).any(axis=0).all():
         return None
@@ -150,18 +151,6 @@ def _(
         firm = smooth_angles(time, absolute, sd, wrap=wrapped, gate=GATE)
         smooth = np.where(whirls & ~_whirls(firm), firm, smooth)
     return within_half_a_turn(np.diff(smooth, axis=-1, prepend=0.0), wrapped)
-
-
-@joint_angle_candidates.register
-def _(
-    body: Tree,
-    time: np.ndarray,
-    observations: Tensor,
-    observation: Observation,
-    numbers: TreeParameters,
-    sd: np.ndarray,
-) -> np.ndarray | None:
-    return pose_candidates(body, time, observations, observation, numbers, sd, AGILITY)
 
 
 def _whirls(angles: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ import torch
 from IPython.display import display
 
 from invdyn.inference import METHODS, Free, Problem, SMCOptions, arm_problem, fit
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation, OrnsteinUhlenbeck, TorqueProcess
+from invdyn.models import ArmModel, Keypoints, Link, Observation, OrnsteinUhlenbeck, TorqueProcess, planar_body
 from invdyn.plots import BLUE, STYLE, VERMILION, plot_comparison
 from invdyn.simulate import record
 
@@ -107,7 +107,7 @@ class Tremor(TorqueProcess):
 # %%
 forearm = Link("forearm", joint="elbow", tip="wrist", length=0.26, mass=1.2)
 hand = Link("hand", joint="wrist", tip="knuckle", length=0.09, mass=0.45, com=0.05)
-body = Body("forearm and hand", [forearm, hand], gravity=(0.0, 0.0))
+body = planar_body("forearm and hand", [forearm, hand], gravity=(0.0, 0.0))
 
 # %% [markdown]
 # That is the whole variant. (Written as TOML, the body would be a file for `--body`. A torque process that is to stay

@@ -44,7 +44,7 @@ import torch
 from pyro.distributions import Normal
 
 from invdyn.diagnosis import CATALOGUE, diagnose
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import Effect, GravityTilt, Parameter, ViscousFriction
 from invdyn.plots import BLUE, GREY, STYLE, VERMILION
 from invdyn.simulate import random_arm, record
@@ -59,7 +59,7 @@ plt.rcParams.update(STYLE | {"figure.constrained_layout.use": True, "figure.dpi"
 # %%
 upper = Link("upper_arm", joint="shoulder", tip="elbow", length=0.30, mass=1.5)
 fore = Link("forearm", joint="elbow", tip="wrist", length=0.25, mass=1.0)
-body = Body("bench arm", [upper, fore], gravity=(0.0, -9.81))
+body = planar_body("bench arm", [upper, fore], gravity=(0.0, -9.81))
 
 
 def reality(effect, duration=2.0, **values):

@@ -43,7 +43,7 @@ import torch
 from invdyn.inference import Problem, SMCOptions, infer_kinematics, learned_lengths, pooled, smc
 from invdyn.inference.posterior.visibility import visibility
 from invdyn.inputs import load_body
-from invdyn.models import ArmModel, Joint, KinematicModel, SpatialLink, Tree
+from invdyn.models import ArmModel, Body, Joint, KinematicModel, Link
 from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION
 from invdyn.recordings import Recording
@@ -158,11 +158,11 @@ print(f"inverse kinematics begins at {first} degrees: of all aliases the one wit
 
 # %%
 inertia = (0.002, 0.015, 0.015, 0.0, 0.0, 0.0)
-human = Tree(
+human = Body(
     "ball and hinge",
     [
-        SpatialLink("upper_arm", Joint("shoulder", "ball"), length=0.3, tip="elbow", mass=2.0, inertia=inertia),
-        SpatialLink("forearm", Joint("elbow"), "upper_arm", length=0.25, tip="wrist", mass=1.5, inertia=inertia),
+        Link("upper_arm", Joint("shoulder", "ball"), length=0.3, tip="elbow", mass=2.0, inertia=inertia),
+        Link("forearm", Joint("elbow"), parent="upper_arm", length=0.25, tip="wrist", mass=1.5, inertia=inertia),
     ],
 )
 bent = ArmModel(human, [0.0, 0.1], parameters={"emission.keypoint_scale": 0.005})
@@ -186,11 +186,11 @@ for degrees in (60, 10, 0):
 # The recording is not ours to give. Without it (`INVDYN_DATA`) a walking arm of the same kind is simulated.
 
 # %%
-mouse = Tree(
+mouse = Body(
     "mouse",
     [
-        SpatialLink("upper_arm", Joint("shoulder", "universal"), length=2.5, tip="elbow", mass=1.0),
-        SpatialLink("forearm", Joint("elbow", "universal"), "upper_arm", length=1.5, tip="wrist", mass=1.0),
+        Link("upper_arm", Joint("shoulder", "universal"), length=2.5, tip="elbow", mass=1.0),
+        Link("forearm", Joint("elbow", "universal"), parent="upper_arm", length=1.5, tip="wrist", mass=1.0),
     ],
     gravity=(0.0, 0.0, 0.0),
 )

@@ -43,7 +43,7 @@ import torch
 
 from invdyn.film import write_mp4
 from invdyn.inference import infer, pooled
-from invdyn.models import Body, Joint, Link, SpatialLink, Tree
+from invdyn.models import Body, Joint, Link, planar_body
 from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION
 from invdyn.recordings import Recording
 from invdyn.recordings.cameras import Calibration, Camera, Views, filmed, project
@@ -67,7 +67,7 @@ torch.set_num_threads(1)
 # rolls through the picture.
 
 # %%
-body = Body(
+body = planar_body(
     "arm",
     [
         Link("upper_arm", joint="shoulder", tip="elbow", length=0.30, mass=1.5),
@@ -252,11 +252,11 @@ NOISE, BIAS, LASTS, RATE = 1.5, 6.0, 0.3, 30.0
 down = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 thick, thin = (0.003, 0.015, 0.015, 0.0, 0.0, 0.0), (0.002, 0.008, 0.008, 0.0, 0.0, 0.0)
 ball = Joint("shoulder", "universal")
-arm = Tree(
+arm = Body(
     "arm in space",
     [
-        SpatialLink("upper", ball, rotation=down, length=0.3, tip="elbow", mass=2.0, inertia=thick),
-        SpatialLink("fore", Joint("elbow", "universal"), "upper", length=0.25, tip="wrist", mass=1.2, inertia=thin),
+        Link("upper", ball, rotation=down, length=0.3, tip="elbow", mass=2.0, inertia=thick),
+        Link("fore", Joint("elbow", "universal"), parent="upper", length=0.25, tip="wrist", mass=1.2, inertia=thin),
     ],
 )
 points, known = record(random_arm(arm, duration=1.5, fps=RATE, noise=1e-5, torque_scale=0.25, seed=0), seed=0)

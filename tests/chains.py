@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.planar import PlanarDynamics
 from invdyn.models.dynamics.symbolic import SymbolicDynamics
 

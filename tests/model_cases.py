@@ -25,8 +25,7 @@ from invdyn.models import (
     Observation,
     OrnsteinUhlenbeck,
     Pixels,
-    SpatialLink,
-    Tree,
+    planar_body,
 )
 
 F32, F64 = torch.float32, torch.float64
@@ -37,7 +36,7 @@ TIME = np.array([0.0, 0.03, 0.06, 0.1, 0.12, 0.15])
 def body(joints):
     lengths = (0.4, 0.3, 0.25)
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=lengths[k], mass=1.2 - 0.3 * k) for k in range(joints)]
-    return Body("arm", links, base=(0.1, -0.2))
+    return planar_body("arm", links, base=(0.1, -0.2))
 
 
 def emissions(joints):
@@ -74,9 +73,9 @@ def pixels():
     calibration = ring(2)
     size = torch.tensor([camera.size for camera in calibration], dtype=F64)
     seen = Pixels(pinhole(calibration), calibration.names, size, ("tip",), timed=True, posed=True)
-    link = SpatialLink("rod", Joint("pivot", "universal"), length=0.4, tip="tip", mass=1.0)
+    link = Link("rod", Joint("pivot", "universal"), length=0.4, tip="tip", mass=1.0)
     own = {"initial.angle_scale": 0.3, "camera.offset": [0.0, 0.01], "camera.turn": [[0.0] * 3, [0.02, 0.0, -0.01]]}
-    return ArmModel(Tree("rod", [link]), TIME, Observation(seen, family="student_t"), parameters=own)
+    return ArmModel(Body("rod", [link]), TIME, Observation(seen, family="student_t"), parameters=own)
 
 
 def cases():

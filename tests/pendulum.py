@@ -11,23 +11,25 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED, PASSIVE
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
 LOOSE = COMMANDED.path_size
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
-PENDULUM = Body("pendulum", [ROD], gravity=(0.0, -9.81))
+PENDULUM = planar_body("pendulum", [ROD], gravity=(0.0, -9.81))
 UPPER, FORE = Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)
-ARM = Body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
+ARM = planar_body("arm", [UPPER, FORE], gravity=(0.0, -9.81))
 FRICTION = EFFECTS["viscous_friction"]("pivot")
 DAMPING = 0.05
 FEW = {"viscous_friction", "coulomb_friction", "drifting_friction", "joint_stiffness", "payload", "gravity_tilt"}
 FEW |= {"camera_roll", "camera_scale", "keypoint_offset", "varying_noise"}
 MANY = tuple(name for name in EFFECTS if name not in FEW)
 """Effects that a test leaves out of the catalogue where the whole of it would take long and show no more."""
-WHEEL = Body("wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0))
+WHEEL = planar_body(
+    "wheel", [Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)], gravity=(0, 0)
+)
 INERTIA = 0.03  # about the pivot
 BRAKE = 0.02
 

@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import Recording
 
 LENGTHS, MASSES = np.array([0.3, 0.25]), np.array([1.5, 1.0])
 JOINTS = ("shoulder", "elbow")
-ARM = Body(
+ARM = planar_body(
     "arm",
     [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)],
     gravity=(0.0, -9.81),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.articulated.drive import RowDrive
 
 F64 = torch.float64
@@ -13,7 +13,7 @@ INERTIA = 1.5 * 0.3**2 / 3  # of the rod below about its joint
 
 
 def rod(rows=101, step=0.005, gravity=(0.0, 0.0), command=None, **kwargs):
-    body = Body("rod", [Link("link", "hinge", "tip", length=0.3, mass=1.5)], gravity=gravity)
+    body = planar_body("rod", [Link("link", "hinge", "tip", length=0.3, mass=1.5)], gravity=gravity)
     return ArmModel(body, step * np.arange(rows), Observation(Keypoints([0])), command=command, **kwargs)
 
 

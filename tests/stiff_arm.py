@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 
 LENGTHS = (0.35, 0.3)
 
 
 def body(gravity=(0.0, -9.81)):
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=x, mass=1.5 - 0.5 * k) for k, x in enumerate(LENGTHS)]
-    return Body("arm", links, gravity=gravity)
+    return planar_body("arm", links, gravity=gravity)
 
 
 def arm(steps, noise, *, stiff=1e-3, dt=0.02, **options):

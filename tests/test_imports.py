@@ -72,7 +72,7 @@ def test_all_rooms_are_found(imports):
     assert len(FILES) > 40
     assert "invdyn.models.state_space" in imports["invdyn.models.articulated.arm"]
     assert "invdyn.recordings.errors" in imports["invdyn.recordings.recording"]
-    assert "invdyn.models.bodies.body_toml" in imports["invdyn.models.bodies.body"]  # a module by its package
+    assert "invdyn.models.bodies.body_toml" in imports["invdyn.models.bodies.from_files"]  # a module by its package
 
 
 @pytest.mark.parametrize("room", ROOMS)

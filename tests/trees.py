@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
 from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.rotations import UNTURNED
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.tree_parameters import TreeParameters
 
 F64 = torch.float64
 UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
@@ -19,11 +20,11 @@ UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 
 def paper_arm(gravity=(0.0, 0.0, -1.0)):
     """The paper's arm in space: two joints with yaw and pitch, uniform thin rods of unit length."""
-    return Tree(
+    return Body(
         "paper's arm",
         [
-            SpatialLink("upper_arm", Joint("shoulder", "universal"), length=1.0, tip="elbow_tip", mass=0.5),
-            SpatialLink("forearm", Joint("elbow", "universal"), "upper_arm", length=1.0, tip="wrist", mass=0.3),
+            Link("upper_arm", Joint("shoulder", "universal"), length=1.0, tip="elbow_tip", mass=0.5),
+            Link("forearm", Joint("elbow", "universal"), parent="upper_arm", length=1.0, tip="wrist", mass=0.3),
         ],
         gravity,
     )
@@ -52,13 +53,13 @@ def panda():
     return from_dh("panda", [Row(*row) for row in table], [Inertial(*own) for own in inertials], tip="flange")
 
 
-def twelve_joints() -> Tree:
+def twelve_joints() -> Body:
     """The Panda, and its first five links again at its end."""
     links = list(panda().links)
     for link in panda().links[:5]:
         joint = dataclasses.replace(link.joint, name=f"{link.joint.name}_again")
         links.append(dataclasses.replace(link, name=f"{link.name}_again", joint=joint, parent=links[-1].name))
-    return Tree("twelve joints", links)
+    return Body("twelve joints", links)
 
 
 def mobile_arm(driven=False):
@@ -66,32 +67,63 @@ def mobile_arm(driven=False):
     rod = (0.002, 0.03, 0.03, 0.0, 0.001, 0.0)
     ball = (0.01, 0.01, 0.01, 0, 0, 0)
     slide = Joint("forward", "slide", (1.0, 0.0, 0.0), driven=driven)
-    return Tree(
+    return Body(
         "mobile arm",
         [
-            SpatialLink(
+            Link(
                 "gripper",
                 Joint("mount", "fixed"),
-                "forearm",
+                parent="forearm",
                 origin=(0.3, 0, 0.01),
                 mass=0.2,
                 inertia=ball,
                 sites={"grasp": (0.1, 0, 0)},
             ),
-            SpatialLink("cart_x", slide, mass=1.0, inertia=ball),
-            SpatialLink("cart_y", Joint("sideways", "slide", (0.0, 1.0, 0.0)), "cart_x", mass=0.5, inertia=ball),
-            SpatialLink(
-                "cart", Joint("heading"), "cart_y", mass=12.0, com=(0.02, 0, 0.1), inertia=(0.3, 0.4, 0.5, 0, 0, 0)
+            Link("cart_x", slide, mass=1.0, inertia=ball),
+            Link("cart_y", Joint("sideways", "slide", (0.0, 1.0, 0.0)), parent="cart_x", mass=0.5, inertia=ball),
+            Link(
+                "cart",
+                Joint("heading"),
+                parent="cart_y",
+                mass=12.0,
+                com=(0.02, 0, 0.1),
+                inertia=(0.3, 0.4, 0.5, 0, 0, 0),
             ),
-            SpatialLink(
-                "mast", Joint("bolts", "fixed"), "cart", origin=(0.1, 0, 0.3), mass=2.0, com=(0, 0, 0.2), inertia=ball
+            Link(
+                "mast",
+                Joint("bolts", "fixed"),
+                parent="cart",
+                origin=(0.1, 0, 0.3),
+                mass=2.0,
+                com=(0, 0, 0.2),
+                inertia=ball,
             ),
-            SpatialLink(
-                "turret", Joint("turret"), "mast", origin=(0, 0, 0.4), mass=1.5, inertia=(0.01, 0.01, 0.015, 0, 0, 0)
+            Link(
+                "turret",
+                Joint("turret"),
+                parent="mast",
+                origin=(0, 0, 0.4),
+                mass=1.5,
+                inertia=(0.01, 0.01, 0.015, 0, 0, 0),
             ),
-            SpatialLink("upper_arm", Joint("shoulder"), "turret", (0.05, 0, 0), UPRIGHT, 1.2, (0.15, 0.01, 0), rod),
-            SpatialLink(
-                "forearm", Joint("elbow"), "upper_arm", (0.3, 0, 0), mass=0.8, com=(0.12, 0, 0.02), inertia=rod
+            Link(
+                "upper_arm",
+                Joint("shoulder"),
+                parent="turret",
+                origin=(0.05, 0, 0),
+                rotation=UPRIGHT,
+                mass=1.2,
+                com=(0.15, 0.01, 0),
+                inertia=rod,
+            ),
+            Link(
+                "forearm",
+                Joint("elbow"),
+                parent="upper_arm",
+                origin=(0.3, 0, 0),
+                mass=0.8,
+                com=(0.12, 0, 0.02),
+                inertia=rod,
             ),
         ],
     )
@@ -121,10 +153,10 @@ def random_tree(K, seed):
             _turn(rng) if kind in ("ball", "universal") else UNTURNED,
         )
         links.append(
-            SpatialLink(
+            Link(
                 name,
                 joint,
-                str(rng.choice([link.name for link in links[-3:]] or ["world"])),
+                parent=str(rng.choice([link.name for link in links[-3:]] or ["world"])),
                 origin=(rng.normal(size=3) * 0.3).tolist(),
                 rotation=_turn(rng),
                 mass=float(rng.uniform(0.3, 3)),
@@ -133,7 +165,7 @@ def random_tree(K, seed):
                 sites={f"site{len(links)}": rng.normal(size=3).tolist()},
             )
         )
-    return Tree(f"random {seed}", links, rng.normal(size=3) * 5)
+    return Body(f"random {seed}", links, rng.normal(size=3) * 5)
 
 
 def _axis(rng):
@@ -259,3 +291,26 @@ def _branch_by_branch(tree, parent):
         if inner == parent:
             yield place
             yield from _branch_by_branch(tree, place)
+
+
+def parameters_in_space(p):
+    """The numbers (...) of a chain in the plane for the dynamics of the same body in space."""
+
+    def vectors(**entries):
+        like = next(iter(entries.values()))
+        names = ("x", "y", "z") if "zz" not in entries else ("xx", "yy", "zz", "xy", "xz", "yz")
+        return torch.stack([entries.get(name, torch.zeros_like(like)) for name in names], -1)
+
+    base = vectors(x=p.base[..., 0], y=p.base[..., 1])
+    steps = vectors(x=p.length[..., :-1])
+    batch = torch.broadcast_shapes(base.shape[:-1], steps.shape[:-2])
+    position = torch.cat([base.expand(*batch, 3).unsqueeze(-2), steps.expand(*batch, *steps.shape[-2:])], -2)
+    return TreeParameters(
+        mass=p.mass,
+        com=vectors(x=p.com),
+        inertia=vectors(zz=p.inertia),
+        position=position,
+        rotation=torch.eye(3, dtype=p.mass.dtype).expand(p.mass.shape[-1], 3, 3),
+        sites=vectors(x=p.length),
+        gravity=vectors(x=p.gravity[..., 0], y=p.gravity[..., 1]),
+    )

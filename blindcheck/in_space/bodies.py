@@ -25,13 +25,13 @@ from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.motion import Habits, between
 from invdyn.blindcheck.setting import Setting, Style
 from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency, reach, stretched
-from invdyn.models import Tree
+from invdyn.models import Body
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
 from invdyn.models.bodies.inertia import six
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.scalars import nominal, prior
-from invdyn.models.bodies.spatial_link import SpatialLink
 
 JOINTS, SHARES = (3, 4, 5, 6, 7), (0.4, 0.25, 0.2, 0.05, 0.1)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -68,7 +68,7 @@ def _slab(rng: np.random.Generator, mass: float, end: np.ndarray) -> tuple[np.nd
     return com, np.trace(second) * np.eye(3) - second
 
 
-def random_tree(rng: np.random.Generator, joints: int) -> Tree:
+def random_tree(rng: np.random.Generator, joints: int) -> Body:
     """A serial arm, or one with a branch, of so many hinges."""
     if joints == len(PANDA) and rng.random() < 0.5:
         return _panda_like(rng)
@@ -81,7 +81,7 @@ def random_tree(rng: np.random.Generator, joints: int) -> Tree:
     lengths *= whole / lengths.sum()
     masses = np.cumprod([1.0, *rng.uniform(0.4, 1.0, joints - 1)])
     masses *= 20 * (whole / 1.8) ** 2 * between(rng, 0.5, 2.0) / masses.sum()
-    links: list[SpatialLink] = []
+    links: list[Link] = []
     letters: list[str] = []
     ends: list[np.ndarray] = []
     for place, parent in enumerate(parents.tolist()):
@@ -95,7 +95,7 @@ def random_tree(rng: np.random.Generator, joints: int) -> Tree:
         com, inertia = _slab(rng, float(masses[place]), ends[-1])
         side = rng.uniform(0.15, 0.3, 2) * rng.choice([-1, 1], 2) * lengths[place]
         links.append(
-            SpatialLink(
+            Link(
                 name=f"link{place + 1}",
                 joint=Joint(f"joint{place + 1}", "hinge", tuple((axis / np.linalg.norm(axis)).tolist())),
                 parent=f"link{parent + 1}" if inner else WORLD,
@@ -106,10 +106,10 @@ def random_tree(rng: np.random.Generator, joints: int) -> Tree:
                 sites={f"p{place + 1}": np.round(ends[-1] + np.array([0.0, *side]), 4).tolist()},
             )
         )
-    return Tree("robot", links)
+    return Body("robot", links)
 
 
-def _panda_like(rng: np.random.Generator) -> Tree:
+def _panda_like(rng: np.random.Generator) -> Body:
     inertials, markers = [], []
     for mass, end in zip(PANDA_MASSES, (*PANDA_ENDS, PANDA_FLANGE), strict=True):
         own = float(f"{mass * between(rng, 0.8, 1.25):.4g}")
@@ -125,7 +125,7 @@ def _panda_like(rng: np.random.Generator) -> Tree:
     )
 
 
-def with_servos(rng: np.random.Generator, tree: Tree) -> Tree:
+def with_servos(rng: np.random.Generator, tree: Body) -> Body:
     """Position servos at all joints: stiff enough for the load, at most `MAX_SERVO_FREQUENCY`."""
     posture = rng.uniform(-1.0, 1.0, tree.num_joints)
     turning = 1 / np.linalg.inv(World(tree).inertia(posture)).diagonal()
@@ -139,7 +139,7 @@ def with_servos(rng: np.random.Generator, tree: Tree) -> Tree:
     return replace(tree, links=links)
 
 
-def with_damping(rng: np.random.Generator, tree: Tree) -> Tree:
+def with_damping(rng: np.random.Generator, tree: Body) -> Body:
     """Damping at all joints: at the pace of the hanging body it takes some per cent of what hangs on them."""
     pace = 2 * np.pi * pendulum_frequency(tree)
     damping = [float(f"{between(rng, 0.01, 0.05) * load / pace:.4g}") for load in _loads(tree)]
@@ -150,14 +150,14 @@ def with_damping(rng: np.random.Generator, tree: Tree) -> Tree:
     return replace(tree, links=links)
 
 
-def _measured(rng: np.random.Generator, tree: Tree) -> Tree:
+def _measured(rng: np.random.Generator, tree: Body) -> Body:
     """The tree as its file has it: masses known to 2 %, and said so."""
     off = [float(f"{nominal(link.mass) * np.exp(MASS_ERROR * rng.standard_normal()):.4g}") for link in tree.links]
     links = [replace(link, mass=prior(mass, MASS_ERROR * mass)) for link, mass in zip(tree.links, off, strict=True)]
     return replace(tree, links=links)
 
 
-def _loads(tree: Tree) -> list[float]:
+def _loads(tree: Body) -> list[float]:
     """By joint, N·m: the weight of all that hangs on it, outstretched horizontally."""
     mass, far, inertia = stretched(tree)
     loads = []
@@ -168,14 +168,14 @@ def _loads(tree: Tree) -> list[float]:
     return loads
 
 
-def _inwards(tree: Tree, link: int) -> list[int]:
+def _inwards(tree: Body, link: int) -> list[int]:
     way = [link]
     while tree.parents[way[-1]] >= 0:
         way.append(tree.parents[way[-1]])
     return way
 
 
-def bodies(rng: np.random.Generator, needs: Sequence[str], names: Sequence[str], passive: bool) -> tuple[Tree, Tree]:
+def bodies(rng: np.random.Generator, needs: Sequence[str], names: Sequence[str], passive: bool) -> tuple[Body, Body]:
     """A random tree, and what its file says."""
     tree = random_tree(rng, int(rng.choice(JOINTS, p=SHARES)))
     if rng.random() < 0.4 and not passive and not MOTORS & set(names):
@@ -203,7 +203,7 @@ def style(rng: np.random.Generator, names: Sequence[str]) -> Style:
     )
 
 
-def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[[Tree], World]) -> np.ndarray:
+def posture(rng: np.random.Generator, body: Body, passive: bool, made: Callable[[Body], World]) -> np.ndarray:
     """Anywhere, or about the Panda's usual pose; a passive body is released near where it hangs."""
     anywhere = rng.uniform(-1.2, 1.2, body.num_joints)
     if np.allclose(body.parameters().position[1].numpy(), 0.0):  # as no random tree's second joint is
@@ -225,7 +225,7 @@ def posture(rng: np.random.Generator, body: Tree, passive: bool, made: Callable[
     return hanging + rng.uniform(0.3, 0.8, body.num_joints) * rng.choice([-1, 1], body.num_joints)
 
 
-def described(body: Tree) -> dict:
+def described(body: Body) -> dict:
     """Numbers of the answer; `upright` where the first joint's axis is gravity's."""
     p, gravity = body.parameters(), np.array(body.gravity)
     first = np.array(body.links[0].rotation) @ np.array(body.links[0].joint.axis)

@@ -1,7 +1,7 @@
 """Reality in space as MuJoCo simulates it: a tree of hinges, commanded torques or position servos, sites on its links.
 
 Steps, solver, hooks and motors are those of the plane (:mod:`..simulator`), and so are the mechanisms at joints. A
-piece's frame is the link's of :class:`invdyn.models.Tree`. A position servo's command is the torque that its target
+piece's frame is the link's of :class:`invdyn.models.Body`. A position servo's command is the torque that its target
 asks for by itself, S θ_d; MuJoCo's actuator adds −S θ − D θ̇. SI units, radians.
 """
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from invdyn.blindcheck import simulator
 from invdyn.blindcheck.effects.parts import set_part
 from invdyn.blindcheck.simulator import MAX_STEP
-from invdyn.models import Tree
+from invdyn.models import Body
 from invdyn.models.bodies.inertia import six, tensor
 
 MAX_REPLAY_STEP = 2e-3
@@ -47,7 +47,7 @@ class World(simulator.World):
     links in another order than branch by branch, in which MuJoCo counts joints.
     """
 
-    def __init__(self, body: Tree):
+    def __init__(self, body: Body):
         self._start(body.num_joints, np.zeros(3), np.array(body.gravity))
         p, sites = body.parameters(), iter(body.parameters().sites.numpy())
         if any(link.joint.type != "hinge" for link in body.links):

@@ -201,7 +201,7 @@ def _noise(best: FittedHypothesis) -> Noise:
 def _observed(bound: DiagnosisProblem) -> np.ndarray:
     """(T, P, d) m, of no keypoints too."""
     points, body = bound.model.observation.points(bound.observations).numpy(), bound.model.body
-    return points.reshape(*points.shape[:2], body.space)
+    return points.reshape(*points.shape[:2], body.dimensions)
 
 
 def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:

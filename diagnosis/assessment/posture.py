@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models import ArticulatedBody, Body, Tree, dynamics_for
+from invdyn.models import ArticulatedBody, Body, dynamics_for
 
 MARK = "joint of "
 """Before a link's name: the site that is put at its joint."""
@@ -41,13 +41,13 @@ class Posture:
 
 def lengths_of(body: ArticulatedBody) -> tuple[float, ...]:
     """Of a chain in the plane its links' lengths, m; of another body none."""
-    return tuple(link.nominal("length") for link in body.links) if isinstance(body, Body) else ()
+    return tuple(link.nominal("length") for link in body.links) if isinstance(body, Body) and body.is_chain else ()
 
 
 def base_of(body: ArticulatedBody) -> np.ndarray:
     """Where the first joint is, (d,) m, if it stands still; else the frame's origin."""
     given = body.described(body.parameters()).get("base")
-    return np.zeros(body.space) if given is None else given[1].numpy()
+    return np.zeros(body.dimensions) if given is None else given[1].numpy()
 
 
 def typical_row(angle: np.ndarray) -> int | None:
@@ -66,7 +66,9 @@ def posture(body: ArticulatedBody, angle: np.ndarray | None = None) -> Posture |
 
 
 @posture.register
-def _(body: Tree, angle: np.ndarray | None = None) -> Posture:
+def _(body: Body, angle: np.ndarray | None = None) -> Posture | None:
+    if body.is_chain:
+        return None
     links = [replace(link, sites={**link.sites, MARK + link.name: (0.0, 0.0, 0.0)}) for link in body.links]
     marked = replace(body, links=links)
     q = torch.as_tensor(np.array(body.hanging if angle is None else angle, float))

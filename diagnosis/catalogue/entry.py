@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.base import Effect, Scale, Values, effect_name, stages_of
 

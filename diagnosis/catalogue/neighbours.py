@@ -17,7 +17,7 @@ from typing import Literal
 from invdyn.diagnosis.catalogue.entry import Catalogue
 from invdyn.diagnosis.catalogue.period_equivalents import factor
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.effects.base import Effect, Scale
 
 Kind = Literal["twin", "wider", "narrower", "similar"]

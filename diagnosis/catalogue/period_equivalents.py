@@ -22,7 +22,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import Composition
 from invdyn.models.effects.inertial_error import LEAST

@@ -50,7 +50,9 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
     noise = np.maximum(by_joint, motion.rules.check.min_noise_share) * np.maximum(size, 0.01 * size.max())
     X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
     rows = X.reshape(len(X), -1).T
-    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    # Columns that say the same are told apart by their order, and not by rounding.
+    later = 1 + FIXED.negligible * np.arange(len(X))
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300) * later
     moved = scale > FIXED.negligible * scale.max()
     order = np.flatnonzero(moved)
     _, r, pivot = scipy.linalg.qr(rows[:, order] / scale[order], mode="economic", pivoting=True)
@@ -79,7 +81,7 @@ def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
     """Names, units and nominal values (P,) of the columns."""
     own = nominal_link_numbers(body)
     words = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
-    axes = [(), AXES, NAMES] if body.space == 3 else [(), (), ()]
+    axes = [(), AXES, NAMES] if body.dimensions == 3 else [(), (), ()]
     kinds = [
         (f"{kind} {axis}".strip(), unit)
         for (kind, unit), each, _ in zip(words, axes, own, strict=False)

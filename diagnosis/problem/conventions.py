@@ -39,7 +39,7 @@ def check_conventions(
     observation = model.observation
     if observation.encoders is not None:
         angle = observation.of(observation.encoders, observations)
-        if isinstance(model.body, Body):  # links of a plane have a direction there
+        if isinstance(model.body, Body) and model.body.is_chain:  # links of a plane have a direction there
             _check_keypoints(
                 name, model, model.body, observation.points(observations).numpy(), angle.numpy(), rules, force
             )

@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models import ArmModel, Body
+from invdyn.models import ArmModel
 
 
 def relabelled(model: ArmModel, observations: Tensor) -> Tensor:
     """Observations (T, O) with exchanged labels put right; as they are where fewer than two keypoints
     are tracked, and of a body that is no chain in the plane.
     """
-    if not isinstance(model.body, Body):
+    if not model.body.is_chain:
         return observations
     tips = model.observation.tracked
     points = model.observation.points(observations).numpy()

@@ -186,7 +186,7 @@ def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray
     numbers = body.parameters()
     if not has_inertias(body):
         return np.empty((0, *motion.q.shape))
-    n, r = (1, 1) if body.space == 2 else (3, 6)
+    n, r = (1, 1) if body.dimensions == 2 else (3, 6)
     links = len(body.link_names)
     # columns in one batch: a kilogram at the joint, one at a metre along each axis, and each moment by itself
     mass, com, moments = np.zeros((1 + n + r, 1)), np.zeros((1 + n + r, n)), np.zeros((1 + n + r, r))

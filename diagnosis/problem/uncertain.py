@@ -9,7 +9,7 @@ from functools import singledispatch
 
 from pyro.distributions import Distribution
 
-from invdyn.models import ArticulatedBody, Body, Tree
+from invdyn.models import ArticulatedBody, Body
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS
 from invdyn.models.bodies.protocol import AXES
@@ -56,6 +56,11 @@ def uncertain_numbers(body: ArticulatedBody) -> tuple[Uncertain, ...]:
 
 @uncertain_numbers.register
 def _(body: Body) -> tuple[Uncertain, ...]:
+    """Priors of its scalars, numbers that it calls uncertain, and joints' own numbers."""
+    return tuple((_of_chain(body) if body.is_chain else _of_tree(body)) + _of_joints(body))
+
+
+def _of_chain(body: Body) -> list[Uncertain]:
     """A moment of inertia that is left out follows the mass.
 
     One that is written as a number would stay as it is however heavy the link: it is taken to be known as well as the
@@ -73,12 +78,11 @@ def _(body: Body) -> tuple[Uncertain, ...]:
             Uncertain(name, k, mean, sd, link.name, name, UNITS[name], name == "com")
             for name, (mean, sd) in known.items()
         ]
-    return tuple(found + _of_joints(body))
+    return found
 
 
-@uncertain_numbers.register
-def _(body: Tree) -> tuple[Uncertain, ...]:
-    """Priors of its scalars, masses that it calls uncertain, and joints' own numbers; moments that are numbers stay."""
+def _of_tree(body: Body) -> list[Uncertain]:
+    """Moments that are numbers stay."""
     found = []
     for name, entry, prior in body.with_uncertainty().scalars():
         if isinstance(prior, Distribution):
@@ -88,10 +92,10 @@ def _(body: Tree) -> tuple[Uncertain, ...]:
             what = "_".join(filter(None, (WORDS.get(name, name), axis)))
             known = prior.mean.item(), prior.stddev.item()
             found.append(Uncertain(name, entry, *known, place, what, (UNITS | IN_SPACE)[name], name in body.signed))
-    return tuple(found + _of_joints(body))
+    return found
 
 
-def _of_joints(body: Body | Tree) -> list[Uncertain]:
+def _of_joints(body: Body) -> list[Uncertain]:
     """What the file gives joints and calls uncertain, relatively, of all joints or of one."""
     found = []
     for k, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):

@@ -160,7 +160,7 @@ class Writer:
 
     def write_gravity(self, changes: Sequence[FileChange]) -> str | None:
         """The option's gravity, of a chain in the plane the coordinates across its hinges."""
-        axes = (0, 1, 2) if self.body.space == 3 else self._plane(self._joint_of(0))
+        axes = (0, 1, 2) if self.body.dimensions == 3 else self._plane(self._joint_of(0))
         gravity = self.model.opt.gravity.copy()
         for change in changes:
             gravity[axes[AXES.index(change.quantity[-1])]] = change.after

@@ -27,7 +27,7 @@ def rewritten(content: bytes, body: ArticulatedBody, changes: Sequence[FileChang
         if change.quantity in JOINT:
             joint = body.joint_names.index(change.place)
             link = next(k for k in range(len(body.link_names)) if joint in body.moved_by(k))
-        elif change.quantity in LINK and not (body.space == 3 and change.quantity == "inertia"):
+        elif change.quantity in LINK and not (body.dimensions == 3 and change.quantity == "inertia"):
             link = body.link_names.index(change.place)
         else:
             by_hand = change.quantity == "inertia" or change.quantity.startswith("com")

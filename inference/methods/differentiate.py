@@ -26,7 +26,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import ArmModel, Body, BodyParameters, Observation, Tree
+from invdyn.models import ArmModel, Body, BodyParameters, Observation
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.inverse_kinematics import row_poses
@@ -67,7 +67,7 @@ def joint_angles(
     return within_half_a_turn(np.diff(absolute, axis=1, prepend=0.0), wrapped), gap
 
 
-def tree_angles(model: ArmModel, body: Tree, observations: Tensor) -> tuple[np.ndarray, np.ndarray]:
+def tree_angles(model: ArmModel, body: Body, observations: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates (T, K) of a tree by inverse kinematics row by row, and gaps (T, K), s, as `joint_angles` has them.
 
     A row that is not wholly seen is a gap of all joints. Raises InputError where none is.
@@ -172,9 +172,9 @@ def differentiate(
     """
     model, time = problem.model.to(dtype=torch.float64), problem.recording.time
     body = model.body_parameters()
-    if isinstance(model.body, Body):
+    if model.body.is_chain:
         angle, gap = joint_angles(time, problem.observations, model.observation, body)
-    elif isinstance(model.body, Tree):
+    elif isinstance(model.body, Body):
         angle, gap = tree_angles(model, model.body, problem.observations)
     else:
         raise InputError(

@@ -85,7 +85,7 @@ def arm_contents(
     if notes:
         attributes["charts"] = "\n".join(notes)
     constants = _constants(model, truth)
-    if body.space == 3:
+    if body.dimensions == 3:
         smallest, unseen = visibility(model, observations, angle.mean((0, 1)))
         constants["smallest_singular_value"] = (["time"], smallest)
         constants["unseen"] = (["time", "joint"], unseen.astype(np.int8))

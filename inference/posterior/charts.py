@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from invdyn.models import SpatialLink, Tree
+from invdyn.models import Body, Link
 from invdyn.models.bodies.rotations import LETTERS, UNTURNED, clean
 
 WIDE, STEEP = 60.0, 80.0
@@ -26,11 +26,11 @@ WIDE, STEEP = 60.0, 80.0
 AXES = 2000
 """Unit vectors that are tried, evenly over the sphere."""
 
-Paths = Callable[[Tree], np.ndarray | None]
+Paths = Callable[[Body], np.ndarray | None]
 """From a tree to coordinates (T, K) of the recording; None where it tells none."""
 
 
-def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
+def chosen(tree: Body, paths: Paths) -> tuple[Body, list[str]]:
     """The tree in charts that suit the recording, and a sentence for each joint whose frame was rotated."""
     said: list[str] = []
     tried: set[str] = set()
@@ -52,7 +52,7 @@ def chosen(tree: Tree, paths: Paths) -> tuple[Tree, list[str]]:
     return tree, said
 
 
-def poles(tree: Tree, path: np.ndarray) -> list[str]:
+def poles(tree: Body, path: np.ndarray) -> list[str]:
     """A sentence for each joint that passes ``STEEP`` along a path (T, K)."""
     return [
         f"{name}: its motion passes a pitch of {STEEP:.0f}° (to {most:.0f}°), where its angles have a pole and "
@@ -62,7 +62,7 @@ def poles(tree: Tree, path: np.ndarray) -> list[str]:
     ]
 
 
-def pitches(tree: Tree, path: np.ndarray) -> dict[str, float]:
+def pitches(tree: Body, path: np.ndarray) -> dict[str, float]:
     """Largest pitch, degrees from 0 to 90, along a path (T, K), of each joint of two or three turns, by its name."""
     found, place = {}, 0
     for link in tree.links:
@@ -74,7 +74,7 @@ def pitches(tree: Tree, path: np.ndarray) -> dict[str, float]:
     return found
 
 
-def directions(tree: Tree, link: SpatialLink, path: np.ndarray) -> np.ndarray:
+def directions(tree: Body, link: Link, path: np.ndarray) -> np.ndarray:
     """Directions (T, 3) of the link's last axis in the joint's frame, along a path (T, K)."""
     ahead = sum(len(each.joint.motions()) for each in tree.links[: tree.links.index(link)] if not each.joint.driven)
     chart, count = link.joint.chart, len(link.joint.motions())
@@ -105,7 +105,7 @@ def _last(chart: str) -> str:
     return chart[2] if len(chart) == 3 else next(iter(set("xyz") - set(chart)))
 
 
-def _may_turn(tree: Tree, link: SpatialLink) -> bool:
+def _may_turn(tree: Body, link: Link) -> bool:
     """Whether another frame of its joint is the same body."""
     if link.joint.type in ("ball", "free"):
         return True

@@ -32,7 +32,7 @@ from torch import Tensor
 from invdyn.inference.execution.progress import Report
 from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import ArmModel, Body
+from invdyn.models import ArmModel
 from invdyn.models.articulated.start import path_through
 from invdyn.models.divergence import Diverged
 from invdyn.models.kinematics import link_angles
@@ -133,7 +133,7 @@ def gaps(model: ArmModel, observations: Tensor) -> dict[tuple[int, int], list[in
 
     None of a body in space, and of links that an encoder counts.
     """
-    if not isinstance(model.body, Body) or not model.observation.tracked:
+    if not model.body.is_chain or not model.observation.tracked:
         return {}
     angle, wrapped = link_angles(observations, model.observation, model.body_parameters())
     unseen = np.isnan(angle) & wrapped.all(axis=0)

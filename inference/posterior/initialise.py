@@ -27,12 +27,12 @@ from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
+    Body,
     Encoders,
     Keypoints,
     Observation,
     Sensor,
     TorqueProcess,
-    Tree,
     dynamics_for,
 )
 from invdyn.models.articulated.defaults import WrongValue
@@ -165,7 +165,7 @@ def arm_problem(
     if learn_lengths:
         body = with_observed_lengths(recording, body)
     notes: tuple[str, ...] = ()
-    if isinstance(body, Tree):
+    if isinstance(body, Body) and not body.is_chain:
         # Where others use its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
@@ -184,8 +184,8 @@ def arm_problem(
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:
     """Pairs (keypoint in the recording, site of the body)."""
-    if recording.keypoints.shape[-1] != body.space and recording.keypoint_names:
-        where = {2: "moves in a plane", 3: "moves in space"}.get(body.space, f"has {body.space} dimensions")
+    if recording.keypoints.shape[-1] != body.dimensions and recording.keypoint_names:
+        where = {2: "moves in a plane", 3: "moves in space"}.get(body.dimensions, f"has {body.dimensions} dimensions")
         raise InputError(
             f"{recording.name}: keypoints have {recording.keypoints.shape[-1]} coordinates, but body "
             f"'{body.name}' {where}"
@@ -214,13 +214,13 @@ def _in_order(recording: Recording, body: ArticulatedBody, values: np.ndarray | 
 
 
 def _charted(
-    tree: Tree, time: np.ndarray, observations: Tensor, observation: Observation, turning: bool
-) -> tuple[Tree, tuple[str, ...]]:
+    tree: Body, time: np.ndarray, observations: Tensor, observation: Observation, turning: bool
+) -> tuple[Body, tuple[str, ...]]:
     """The tree in charts that suit the recording, if they may be chosen, and what to say of them."""
     if all(len(link.joint.chart) < 2 for link in tree.links):
         return tree, ()
 
-    def path(tree: Tree) -> np.ndarray | None:
+    def path(tree: Body) -> np.ndarray | None:
         numbers, sd = tree.parameters(), _angle_sd(tree, observations, observation)
         candidates = joint_angle_candidates(tree, time, observations, observation, numbers, sd)
         return None if candidates is None else candidates[len(candidates) // 2]

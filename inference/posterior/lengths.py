@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invdyn.models import ArticulatedBody, Body, Learned, Tree
+from invdyn.models import ArticulatedBody, Body, Learned
 from invdyn.models.bodies.scalars import nominal
 from invdyn.recordings import InputError, Recording
 
@@ -16,9 +16,9 @@ def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> Articu
     lengths are learned from there. A link keeps its own length where an end of it is unseen. Raises InputError for a
     body that has no lengths.
     """
-    if isinstance(body, Body):
+    if isinstance(body, Body) and body.is_chain:
         return body.with_values(length=observed_lengths(recording, body))
-    if not isinstance(body, Tree) or all(link.length is None for link in body.links):
+    if not isinstance(body, Body) or all(link.length is None for link in body.links):
         raise InputError(f"body '{body.name}' has no links of a length that could be learned: leave out learn_lengths")
     tips = {link.name: link.tip for link in body.links}
     links = []

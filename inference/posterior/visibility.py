@@ -35,7 +35,7 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
     if (keypoints := observation.keypoints) is not None:
         own = keypoints.tracked(jacobian.flatten(-2)).unflatten(-1, (-1, K)).flatten(-3, -2)
         own = torch.where(torch.isfinite(rows[:, observation.part(keypoints)]).unsqueeze(-1), own, 0.0)
-        scale = model.parameters["emission.keypoint_scale"].repeat_interleave(model.body.space, -1)
+        scale = model.parameters["emission.keypoint_scale"].repeat_interleave(model.body.dimensions, -1)
         slopes.append(own)
         sharp.append(own / scale.unsqueeze(-1))
     if (pixels := observation.pixels) is not None:

@@ -1,193 +1,408 @@
-"""Bodies: planar chains of rigid links, each scalar of them a number, a prior or a learned parameter.
+"""Bodies: trees of rigid links, each scalar of them a number, a prior or a learned parameter.
 
-Denavit–Hartenberg geometry in the plane: θ₁ is counted from the x axis, each further angle from the
-parent link, counter-clockwise positive; a limb that hangs down has θ₁ = −π/2. Link k begins at joint k
-and ends at its tip, where joint k+1 sits.
+A link hangs on its parent, or on the world, by a joint (`joints.py`). The joint's frame lies at `origin` m, turned by
+`rotation`, in the parent's frame; the link's own frame is the joint's, moved. In it lie the centre of mass `com` m, the
+`inertia` kg·m² about that (xx, yy, zz, xy, xz, yz) and `sites`, named points, m, that keypoints show.
 
-Per link: `length` m, `mass` kg, `com` m from the joint along the link (default length/2), `inertia`
-kg·m² about the centre of mass (default mass·length²/12, a uniform rod). Per body: `gravity` m/s² and the
-first joint `base` m, both (x, y) in the recording's frame. Files: `body_toml.py`, `body_mjcf.py`, `body_urdf.py`.
+A link may have a `length` m instead: it is a stick along its x axis, whose `tip` is a site. Unless they say otherwise,
+links on it are placed at its tip, its com is in its middle and its inertia that of a thin rod.
+
+The base is what the first joint makes of it: fixed where the link's joint is any on the world, free by a joint of type
+free, moved by one that is `driven`.
+
+A body of two `dimensions` is a chain of sticks in the plane, which keypoints show by x and y (:func:`planar_body`).
+Denavit–Hartenberg: θ₁ is counted from the x axis, each further angle from the parent link, counter-clockwise positive;
+a limb that hangs down has θ₁ = −π/2. Its numbers are fewer, see :mod:`.planar`.
+
+Files: `body_toml.py`, `tree_toml.py`, `body_mjcf.py`, `body_urdf.py`; tables of Denavit and Hartenberg: `dh.py`.
 """
 
-import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, Self
 
+import numpy as np
 import pyro
 import pyro.distributions as dist
 import torch
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.bodies import body_chain, body_toml, body_xml, joint_parts_toml, robot_file
+from invdyn.models.bodies import planar
 from invdyn.models.bodies.from_files import FromFiles
+from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joint_parts import JointParts, relative
-from invdyn.models.bodies.link import Link
-from invdyn.models.bodies.placeholders import Moment
-from invdyn.models.bodies.protocol import BodyBase
-from invdyn.models.bodies.scalars import (
-    QUANTITIES,
-    BodyError,
-    Learned,
-    Scalar,
-    check_keys,
-    check_name,
-    nominal,
-    prior,
-    vector,
-)
-from invdyn.models.bodies.whole_file import read_whole
+from invdyn.models.bodies.joints import WORLD, Motion
+from invdyn.models.bodies.link import Link, ordered
+from invdyn.models.bodies.protocol import BodyBase, kept_as
+from invdyn.models.bodies.rotations import about, numbers
+from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, check_name, nominal, prior
+from invdyn.models.bodies.sticks import Sticks
+from invdyn.models.bodies.tree_parameters import assembled, moments, vector_of
 
-MOST_LINKS = 100  # an arm has seven, a snake robot thirty
-FOLLOWING = ("com", "inertia")  # quantities that follow from length and mass where a link leaves them out
-
-
-class BodyParameters(NamedTuple):
-    """The numbers of a K-link body as tensors; leading dimensions are many parameter sets.
-
-    `length`, `mass`, `com`, `inertia` (..., K); `gravity`, `base` (..., 2). Units at the top of this file.
-    """
-
-    length: Tensor
-    mass: Tensor
-    com: Tensor
-    inertia: Tensor
-    gravity: Tensor
-    base: Tensor
-
-    def to(self, *args: Any, **kwargs: Any) -> "BodyParameters":
-        """Return them with `Tensor.to(*args, **kwargs)` applied to every tensor."""
-        return BodyParameters(*(value.to(*args, **kwargs) for value in self))
+POSITIVE = ("mass", "length", "inertia", *(f"inertia_{name}" for name in NAMES[:3]))
+"""Scalars that are learned as positive numbers, by the last word of their Pyro sites."""
 
 
 @dataclass(frozen=True)
 class Body(FromFiles, BodyBase):
-    """A planar chain. `links` run from the base outwards; `uncertainty` has relative sds by quantity.
+    """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
-    Of joints' parts these are by quantity or of one joint, "damping" or "damping.elbow"; diagnoses alone learn them.
+    `uncertainty` has relative sds of all masses (in the plane of length, com and inertia, too), and of joints' parts by
+    quantity or of one joint: "mass", "damping", "damping.elbow".
 
-    Raises `BodyError` for no links or more than a hundred, a name used twice, gravity or base that are not two finite
-    numbers, and unknown or negative uncertainties.
+    Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
+    not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia
+    tensors that break the triangle inequality where that plays a part, and in the plane for what is no chain of sticks.
     """
 
     name: str
     links: Sequence[Link]
-    gravity: Sequence[float] = (0.0, -9.81)
-    base: Sequence[float] = (0.0, 0.0)
+    gravity: Sequence[float] = (0.0, 0.0, -9.81)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
-    space: ClassVar[int] = 2
-    signed: ClassVar[frozenset[str]] = frozenset({"com", "gravity", "base"})
+    dimensions: int = 3
 
     def __post_init__(self) -> None:
         check_name(self.name, "name of a body")
         where = f"body '{self.name}'"
-        object.__setattr__(self, "links", tuple(self.links))
-        object.__setattr__(self, "gravity", vector(self.gravity, f"{where}: gravity in m/s²"))
-        object.__setattr__(self, "base", vector(self.base, f"{where}: base in m"))
+        if self.dimensions not in (2, 3):
+            raise BodyError(f"{where}: expected 2 or 3 dimensions, got {self.dimensions!r:.40}")
+        gravity = numbers(self.gravity, self.dimensions, f"{where}: gravity in m/s²")
+        object.__setattr__(self, "gravity", tuple(gravity.tolist()))
         if not self.links:
             raise BodyError(f"{where}: expected at least one link, got none")
-        if len(self.links) > MOST_LINKS:
-            raise BodyError(f"{where}: expected at most {MOST_LINKS} links, got {len(self.links)}")
-        for key in ("name", "joint", "tip"):
-            names = [getattr(link, key) for link in self.links]
-            for name in names:
-                if names.count(name) > 1:
-                    raise BodyError(f"{where}: expected a {key} of its own for each link, got '{name}' twice")
-        for place, tip in enumerate(self.keypoint_names):
-            # a keypoint is called after the joint that it shows, so one name cannot mean two places
-            if tip in self.joint_names and self.joint_names.index(tip) != place + 1:
-                raise BodyError(f"{where}: '{tip}' is the tip of one link but the joint of another, elsewhere")
-        object.__setattr__(self, "uncertainty", relative(self.uncertainty, QUANTITIES, self.joint_names, where))
+        names = {
+            "link": [link.name for link in self.links],
+            "joint": [link.joint.name for link in self.links],
+            "site": [site for link in self.links for site in (*link.sites, *([link.tip] if link.tip else []))],
+        }
+        for kind, every in names.items():
+            for name in every:
+                if every.count(name) > 1:
+                    raise BodyError(f"{where}: expected names of their own for all {kind}s, got '{name}' twice")
+        object.__setattr__(self, "links", ordered(self.links, where))
+        quantities = QUANTITIES if self.is_chain else ("mass",)
+        object.__setattr__(self, "uncertainty", relative(self.uncertainty, quantities, self.joint_names, where))
+        if self.is_chain:
+            planar.check_chain(self.links, where)
+            return
+        if not self.num_joints:
+            raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
+        for link, turning in zip(self.links, self.turning(), strict=True):
+            own = moments(link, nominal(link.mass), None if link.length is None else nominal(link.length))
+            check_inertia(tensor(np.array([nominal(x) for x in own])), turning, f"{where}: link '{link.name}'")
+
+    # -- names and places ------------------------------------------------------------------------
+    @property
+    def is_chain(self) -> bool:
+        """Whether it is a chain of sticks in the plane, with `BodyParameters` as its numbers."""
+        return self.dimensions == 2
+
+    @property
+    def signed(self) -> frozenset[str]:
+        """Its numbers that may be negative."""
+        own = {"base"} if self.is_chain else {"inertia", "position", "rotation", "sites"}
+        return frozenset({"com", "gravity", *own})
 
     @property
     def num_joints(self) -> int:
-        """K, the number of joints and of links."""
-        return len(self.links)
-
-    @property
-    def has_priors(self) -> bool:
-        """Whether any scalar is a prior rather than a number."""
-        return any(isinstance(getattr(link, key), dist.Distribution) for link in self.links for key in QUANTITIES)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the K joints, from the base outwards."""
-        return tuple(link.joint for link in self.links)
-
-    @property
-    def joint_parts(self) -> tuple[JointParts | None, ...]:
-        """What each joint has besides its hinge."""
-        return tuple(link.parts for link in self.links)
+        """Number K of coordinates that torques move."""
+        return len(self.joint_names)
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """Names of the K links, from the base outwards."""
+        """Names of the links, parents before children."""
         return tuple(link.name for link in self.links)
 
-    @property
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the K coordinates: the joint's, with _yaw, _pitch, _roll, _x, _y or _z where it has several."""
+        return tuple(motion.name for link, motion in self.motions() if not link.joint.driven)
+
+    @cached_property
+    def joint_parts(self) -> tuple[JointParts | None, ...]:
+        """What each of the K coordinates has besides."""
+        return tuple(link.parts for link, _ in self.motions() if not link.joint.driven)
+
+    @cached_property
+    def driven_names(self) -> tuple[str, ...]:
+        """Names of the coordinates of driven joints, whose motion is given."""
+        return tuple(motion.name for link, motion in self.motions() if link.joint.driven)
+
+    @cached_property
     def keypoint_names(self) -> tuple[str, ...]:
-        """Names of the K tips, from the base outwards."""
-        return tuple(link.tip for link in self.links)
+        """Names of the S sites, a link's tip first, from the first link on."""
+        return tuple(site for link in self.links for site in link.points)
+
+    @cached_property
+    def parents(self) -> tuple[int, ...]:
+        """The place of each link's parent among the links, −1 for the world."""
+        places = {WORLD: -1} | {link.name: place for place, link in enumerate(self.links)}
+        return tuple(places[link.parent] for link in self.links)
 
     @property
-    def base_keypoint(self) -> str:
-        """Name of the keypoint at the base: the first joint's."""
-        return self.links[0].joint
+    def base(self) -> tuple[float, ...]:
+        """Where the first joint is, m, in as many coordinates as the body has dimensions."""
+        return tuple(nominal(x) for x in self.links[0].origin or (0.0, 0.0, 0.0))[: self.dimensions]
 
     @property
-    def hand(self) -> tuple[int, int]:
-        """The last link and its tip."""
-        return self.num_joints - 1, self.num_joints - 1
+    def base_keypoint(self) -> str | None:
+        """In the plane the keypoint at the base, which has the first joint's name."""
+        return self.links[0].joint.name if self.is_chain else None
 
-    @property
-    def learned(self) -> dict[str, tuple[int, ...]]:
-        """Links whose scalars are to be learned, by quantity."""
-        found = {
-            key: tuple(k for k, link in enumerate(self.links) if isinstance(getattr(link, key), Learned))
-            for key in QUANTITIES
-        }
-        return {key: links for key, links in found.items() if links}
+    def motions(self) -> list[tuple[Link, Motion]]:
+        """All coordinates, driven ones too, with the link that each belongs to."""
+        return [(link, motion) for link in self.links for motion in link.joint.motions()]
 
     @property
     def hanging(self) -> list[float]:
-        """Angles at which it hangs; along the x axis without gravity."""
+        """Coordinates at which a chain in the plane hangs, along x without gravity; of a tree all zero."""
+        if not self.is_chain:
+            return [0.0] * self.num_joints
         down = math.atan2(self.gravity[1], self.gravity[0]) if any(self.gravity) else 0.0
         return [down] + [0.0] * (self.num_joints - 1)
 
-    def completed(self, numbers: BodyParameters) -> BodyParameters:
-        """The numbers with com and inertia following length and mass, of links that say neither."""
-        for key, which in self._left_out(numbers.length.device).items():
-            if key == "com":
-                numbers = numbers._replace(com=torch.where(which, numbers.length / 2, numbers.com))
-            else:
-                rod = numbers.mass * numbers.length**2 / 12
-                numbers = numbers._replace(inertia=torch.where(which, rod, numbers.inertia))
-        return numbers
+    @property
+    def hand(self) -> tuple[int, int] | None:
+        """The last link, or of several that end the tree what they hang on, and the site farthest from its joint.
 
-    def drawn(self, numbers: BodyParameters) -> dict[str, Tensor]:
-        """Scalars that are priors or learned, by `sample`; plain ones of the same quantity stand as in ``numbers``."""
-        own = self.sample(dtype=numbers.length.dtype, device=numbers.length.device)._asdict()
-        found = {}
-        for key in QUANTITIES:
-            free = [isinstance(getattr(link, key), dist.Distribution | Learned) for link in self.links]
-            if any(free):
-                which = torch.tensor(free, device=numbers.length.device)
-                found[key] = torch.where(which, own[key], getattr(numbers, key))
+        None where that is the world, or has no site.
+        """
+        ends = [k for k in range(len(self.links)) if k not in self.parents]
+        inwards = [[end] for end in ends]
+        for way in inwards:
+            while self.parents[way[-1]] >= 0:
+                way.append(self.parents[way[-1]])
+        common = [k for k in inwards[0] if all(k in way for way in inwards)]
+        own = [self.keypoint_names.index(name) for name in self.links[common[0]].points] if common else []
+        if not own:
+            return None
+        far = self.in_space().parameters().sites[own].norm(dim=-1)
+        return common[0], own[int(far.argmax())]
+
+    def moved_by(self, link: int) -> tuple[int, ...]:
+        """Coordinates of its joint, or, where that is fixed or driven, of the next one inwards."""
+        owners = [self.links.index(each) for each, _ in self.motions() if not each.joint.driven]
+        while link >= 0:
+            if found := tuple(k for k, owner in enumerate(owners) if owner == link):
+                return found
+            link = self.parents[link]
+        return ()
+
+    def in_space(self) -> Self:
+        """The same body of three dimensions, the plane as its x–y."""
+        gravity = (*self.gravity, 0.0)[:3]
+        rest = {key: sd for key, sd in self.uncertainty.items() if key not in ("length", "com", "inertia")}
+        return replace(self, gravity=gravity, uncertainty=rest, dimensions=3) if self.is_chain else self
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the first joint is at a place that does not move."""
+        root = self.links[0].joint
+        return not root.driven and all(motion.turns for motion in root.motions())
+
+    @property
+    def skeleton(self) -> list[tuple[int, int]]:
+        """Pairs of sites that a line joins in a picture, −1 the base: each with that, further in, next to its joint."""
+        p, names = self.in_space().parameters(), self.keypoint_names
+        hubs: list[int | None] = []
+        edges = []
+        for place, (link, parent) in enumerate(zip(self.links, self.parents, strict=True)):
+            hub = (-1 if self._stands else None) if parent < 0 else hubs[parent]
+            if parent >= 0 and (near := [names.index(name) for name in self.links[parent].points]):
+                hub = near[int((p.sites[near] - p.position[place]).norm(dim=-1).argmin())]
+            hubs.append(hub)
+            edges += [(hub, names.index(name)) for name in link.points if hub is not None]
+        return edges
+
+    def turning(self) -> list[np.ndarray]:
+        """For each link, directions in its own frame that its angular velocity may have, (n, 3).
+
+        Each turn further out is set to an angle that is nothing special, so that no two axes are parallel by chance.
+        """
+        found: list[np.ndarray] = []
+        for link, parent in zip(self.links, self.parents, strict=True):
+            inner = found[parent] if parent >= 0 else np.zeros((0, 3))
+            directions = inner @ np.array(link.rotation)
+            for place, motion in enumerate(link.joint.motions()):
+                if motion.turns:
+                    directions = directions @ about(motion.axis, 0.7 + place)
+                    directions = np.concatenate([directions, motion.axis[None]])
+            found.append(directions @ np.array(link.joint.reference))
+        return found
+
+    # -- numbers ---------------------------------------------------------------------------------
+    def parameters(
+        self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None, **given: Tensor
+    ) -> Any:
+        """Return the numbers at the nominal values: priors at their means, learned ones at their starts.
+
+        A `TreeParameters`, of a chain in the plane `BodyParameters`; of these keyword arguments length, mass, com and
+        inertia (..., K) take the place of the body's own, and com and inertia that are left out follow. Raises
+        `BodyError` for other keywords, or another number than K.
+        """
+
+        def draw(value: Scalar, site: str) -> Tensor:
+            return torch.tensor(nominal(value), dtype=dtype, device=device)
+
+        found = self._numbers(draw)
+        if not given:
+            return found
+        check_keys(given, QUANTITIES if self.is_chain else (), "Body.parameters")
+        own = {key: torch.as_tensor(value, dtype=dtype, device=device) for key, value in given.items()}
+        for key, value in own.items():
+            if value.shape[-1:] != (self.num_joints,):
+                raise BodyError(f"expected {key} of shape (..., {self.num_joints}), got {tuple(value.shape)}")
+        return self.completed(found._replace(**own))._replace(**own)
+
+    def sample(
+        self, prefix: str = "", dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
+    ) -> Any:
+        """Return the numbers with priors drawn by `pyro.sample` and learned scalars looked up by `pyro.param`.
+
+        Pyro's sites are called prefix + "upper_arm.mass", "upper_arm.length", "upper_arm.com" along a stick or
+        "upper_arm.com_x", "upper_arm.inertia" or "upper_arm.inertia_xx", "upper_arm.origin_x", and "upper_arm.wrist_x"
+        for a site called wrist. In a plate, what is sampled gains its dimensions.
+        """
+
+        def draw(value: Scalar, site: str) -> Tensor:
+            if isinstance(value, dist.Distribution):
+                return pyro.sample(prefix + site, value).to(dtype=dtype, device=device)
+            number = torch.tensor(nominal(value), dtype=dtype, device=device)
+            if not isinstance(value, Learned):
+                return number
+            positive = site.rpartition(".")[2] in POSITIVE
+            return pyro.param(prefix + site, number, constraint=constraints.positive if positive else constraints.real)
+
+        return self._numbers(draw)
+
+    def _numbers(self, draw: Any) -> Any:
+        gravity = (*self.gravity, 0.0)[:3]
+        found = assembled(self.links, self.parents, gravity, draw, self.is_chain)
+        return planar.in_plane(found) if self.is_chain else found
+
+    def completed(self, numbers: Any) -> Any:
+        """The numbers with what sticks leave out following their lengths and masses; a tree's tips show its lengths."""
+        if self.is_chain:
+            return planar.completed(self._left_out(numbers.length.device), numbers)
+        return self._sticks.completed(numbers)
+
+    def drawn(self, numbers: Any) -> dict[str, Tensor]:
+        """Entries that are priors or learned, by `sample`; plain ones of the same number stand as in ``numbers``."""
+        entries = self._entries(dist.Distribution | Learned)
+        sampled, found = self.sample(dtype=numbers.mass.dtype, device=numbers.mass.device)._asdict(), {}
+        for key, indices in entries.items():
+            given, shape = getattr(numbers, key), self._shapes[key]
+            which = torch.zeros(shape, dtype=torch.bool).reshape(-1)
+            which[list(indices)] = True
+            found[key] = torch.where(which.reshape(shape).to(given.device), sampled[key], given)
         return found
 
     def described(self, numbers: Any) -> dict[str, tuple[list[str], Tensor]]:
-        """Its numbers with their dims: links', and vectors of the plane."""
-        dims = {key: ["link"] if key in QUANTITIES else ["space"] for key in numbers._fields}
-        return {key: (dims[key], value.detach()) for key, value in numbers._asdict().items()}
+        """By link, site and axis; joints' positions as "origin". Of a tree `base`, if it stands, and `skeleton`."""
+        dims = {
+            "mass": ["link"],
+            "com": ["link", "space"],
+            "inertia": ["link", "moment"],
+            "origin": ["link", "space"],
+            "rotation": ["link", "space", "space_2"],
+            "sites": ["keypoint", "space"],
+            "gravity": ["space"],
+        }
+        if self.is_chain:
+            dims = {key: ["link"] for key in QUANTITIES} | {"gravity": ["space"], "base": ["space"]}
+        own = {kept_as(name): value.detach() for name, value in numbers._asdict().items()}
+        found = {name: (dims[name], value) for name, value in own.items()}
+        if self.is_chain:
+            return found
+        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
+        found["turns"] = ["joint"], torch.tensor(turns).int()
+        if self._stands:
+            found["base"] = ["space"], own["origin"][..., 0, :]
+        edges = self.skeleton
+        return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
+
+    # -- what is not known exactly -----------------------------------------------------------------
+    @property
+    def has_priors(self) -> bool:
+        """Whether any scalar is a prior rather than a number."""
+        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self.scalars())
+
+    @property
+    def learned(self) -> dict[str, tuple[int, ...]]:
+        """Entries to be learned, as flat indices by number; in a tree a stick's length is its tip's x in the sites."""
+        return self._entries(Learned)
+
+    def with_uncertainty(self) -> Self:
+        """The body with its relative sds made priors around the nominal values; those of joints' parts stay.
+
+        Of a tree these are masses: a link without a mass stays so, and moments that are numbers stay as they are. In
+        the plane a com or inertia that is given one no longer follows length and mass. Raises `BodyError` there for a
+        relative sd of a com or inertia of 0.
+        """
+        stated = {key: sd for key, sd in self.uncertainty.items() if key in QUANTITIES and sd > 0}
+        links = []
+        for link in self.links:
+            priors = {}
+            for key, sd in stated.items():
+                if not isinstance(getattr(link, key), float | None):
+                    continue
+                value = link.nominal(key)
+                if value == 0 and self.is_chain:
+                    raise BodyError(f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior")
+                if value != 0:
+                    priors[key] = prior(value, sd * abs(value))
+            links.append(replace(link, **priors))
+        rest = {} if self.is_chain else {key: sd for key, sd in self.uncertainty.items() if key not in QUANTITIES}
+        return replace(self, links=tuple(links), uncertainty=rest)
+
+    def with_values(self, **given: Sequence[Scalar | None]) -> Self:
+        """Return the body with other scalars, one for each link: `body.with_values(length=[0.31, 0.27])`.
+
+        An entry is anything that a `Link` takes. Raises `BodyError` for another number of them.
+        """
+        check_keys(given, QUANTITIES, "Body.with_values")
+        count = len(self.links)
+        for key, values in given.items():
+            if len(values) != count:
+                raise BodyError(f"expected {count} values of {key}, one for each link, got {len(values)}")
+        links = []
+        for place, link in enumerate(self.links):
+            new: dict[str, Any] = {key: values[place] for key, values in given.items()}
+            links.append(replace(link, **new))
+        return replace(self, links=tuple(links))
+
+    def scalars(self) -> Iterator[tuple[str, int, Scalar | None]]:
+        """What links say: its number, its flat index there, and itself; in a tree a length is its tip's x."""
+        for place, link in enumerate(self.links):
+            if self.is_chain:
+                yield from ((key, place, getattr(link, key)) for key in QUANTITIES)
+                continue
+            yield "mass", place, link.mass
+            own = {"position": link.origin, "com": vector_of(link, "com"), "inertia": vector_of(link, "inertia")}
+            for key, vector in own.items():
+                values = vector or ()
+                yield from ((key, place * len(values) + i, value) for i, value in enumerate(values))
+            for site, at in link.points.items():
+                first = 3 * self.keypoint_names.index(site)
+                yield from (("sites", first + i, value) for i, value in enumerate(at or [link.length]))
+
+    def _entries(self, kind: Any) -> dict[str, tuple[int, ...]]:
+        """Flat indices of the scalars of a kind, by number."""
+        found: dict[str, list[int]] = {}
+        for key, index, scalar in self.scalars():
+            if isinstance(scalar, kind):
+                found.setdefault(key, []).append(index)
+        order = QUANTITIES if self.is_chain else tuple(found)
+        return {key: tuple(found[key]) for key in order if key in found}
 
     def _left_out(self, device: torch.device) -> dict[str, Tensor]:
-        """Of com and inertia which links (K,) leave them out; kept where they are asked for, as no row may wait."""
+        """Of com and inertia which links (K,) leave them out, kept on a device so that no row waits."""
         if device not in self._left_out_on:
-            missing = {key: torch.tensor([getattr(link, key) is None for link in self.links]) for key in FOLLOWING}
+            left_out = {key: [getattr(link, key) is None for link in self.links] for key in planar.FOLLOWING}
+            missing = {key: torch.tensor(which) for key, which in left_out.items()}
             self._left_out_on[device] = {key: which.to(device) for key, which in missing.items() if bool(which.any())}
         return self._left_out_on[device]
 
@@ -195,146 +410,29 @@ class Body(FromFiles, BodyBase):
     def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
         return {}
 
-    def parameters(
-        self, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None, **given: Tensor
-    ) -> BodyParameters:
-        """Return `BodyParameters` (K,) at the nominal values (see `Link.nominal`).
+    @cached_property
+    def _sticks(self) -> Sticks:
+        return Sticks(self.links, self.parents, self.keypoint_names)
 
-        Keyword arguments length, mass, com, inertia (..., K) take the place of the body's own, with any
-        leading dimensions; the defaults of com and inertia follow them. Raises `BodyError` for other
-        keywords, or another number than K.
-        """
-        check_keys(given, QUANTITIES, "Body.parameters")
-        given = {key: torch.as_tensor(value, dtype=dtype, device=device) for key, value in given.items()}
-        for key, value in given.items():
-            if value.shape[-1:] != (self.num_joints,):
-                raise BodyError(f"expected {key} of shape (..., {self.num_joints}), got {tuple(value.shape)}")
+    @cached_property
+    def _shapes(self) -> dict[str, torch.Size]:
+        return {key: value.shape for key, value in self.parameters()._asdict().items()}
 
-        def column(place: int, key: str) -> Tensor | None:
-            if key in given:
-                return given[key][..., place]
-            own = getattr(self.links[place], key)
-            return None if own is None else torch.tensor(nominal(own), dtype=dtype, device=device)
 
-        return self._assemble(column, dtype, device)
+load_body = Body.load
 
-    def sample(
-        self,
-        prefix: str = "",
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str | None = None,
-    ) -> BodyParameters:
-        """Return `BodyParameters`: priors by `pyro.sample`, learned scalars by `pyro.param`.
 
-        Sites are called prefix + "upper_arm.length". In a plate, what is sampled gains its dimensions,
-        (..., K).
-        """
+def planar_body(
+    name: str,
+    links: Sequence[Link],
+    gravity: Sequence[float] = (0.0, -9.81),
+    base: Sequence[float] = (0.0, 0.0),
+    uncertainty: Mapping[str, float] | None = None,
+) -> Body:
+    """Return a chain in the plane: sticks on hinges, from the first joint at `base` (x, y) m outwards.
 
-        def column(place: int, key: str) -> Tensor | None:
-            own, site = getattr(self.links[place], key), f"{prefix}{self.links[place].name}.{key}"
-            if own is None:
-                return None
-            if isinstance(own, dist.Distribution):
-                return pyro.sample(site, own).to(dtype=dtype, device=device)
-            value = torch.tensor(nominal(own), dtype=dtype, device=device)
-            if isinstance(own, Learned):
-                support = constraints.real if key == "com" else constraints.positive
-                return pyro.param(site, value, constraint=support)
-            return value
-
-        return self._assemble(column, dtype, device)
-
-    def _assemble(
-        self,
-        column: Callable[[int, str], Tensor | None],
-        dtype: torch.dtype,
-        device: torch.device | str | None,
-    ) -> BodyParameters:
-        links = []
-        for place in range(self.num_joints):
-            length, mass, com, inertia = (column(place, key) for key in QUANTITIES)
-            assert length is not None  # a link has both
-            assert mass is not None
-            rod = mass * length**2 / 12 if inertia is None else inertia
-            links.append((length, mass, length / 2 if com is None else com, rod))
-        # each quantity has only the leading dimensions that it needs itself
-        scalars = [torch.stack(torch.broadcast_tensors(*each), -1) for each in zip(*links, strict=True)]
-        vectors = [torch.tensor(value, dtype=dtype, device=device) for value in (self.gravity, self.base)]
-        return BodyParameters._make([*scalars, *vectors])
-
-    def with_uncertainty(self) -> Self:
-        """Return the body with its relative sds made priors around the nominal values, and none left.
-
-        Scalars that are priors or learned already stay so. A com or inertia that is given one no longer
-        follows length and mass. Joints' parts stay as they are. Raises `BodyError` for a relative sd of a com or
-        inertia of 0.
-        """
-        links = []
-        for link in self.links:
-            priors = {}
-            for key, sd in self.uncertainty.items():
-                if sd > 0 and key in QUANTITIES and isinstance(getattr(link, key), float | None):
-                    if link.nominal(key) == 0:
-                        raise BodyError(f"link '{link.name}': {key} is 0 and has no relative sd; give it a prior")
-                    priors[key] = prior(link.nominal(key), sd * abs(link.nominal(key)))
-            links.append(dataclasses.replace(link, **priors))
-        return dataclasses.replace(self, links=tuple(links), uncertainty={})
-
-    def with_values(self, **given: Sequence[Scalar | None]) -> Self:
-        """Return the body with other scalars, K of each: `body.with_values(length=[0.31, 0.27])`.
-
-        An entry is anything that a `Link` takes. Raises `BodyError` for another number of them than K.
-        """
-        check_keys(given, QUANTITIES, "Body.with_values")
-        for key, values in given.items():
-            if len(values) != self.num_joints:
-                raise BodyError(f"expected {self.num_joints} values of {key}, one for each link, got {len(values)}")
-        links = []
-        for place, link in enumerate(self.links):
-            new: dict[str, Any] = {key: values[place] for key, values in given.items()}
-            links.append(dataclasses.replace(link, **new))
-        return dataclasses.replace(self, links=tuple(links))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a body file of any kind: MJCF (<mujoco>) or URDF (<robot>), whatever its name, else TOML.
-
-        Raises as they do, and `BodyError`, which says what to do instead, for another kind of XML.
-        """
-        content = read_whole(path, body_xml.MOST_BYTES)
-        if body_xml.is_xml(content):
-            return cls.from_robot(robot_file.of(content, str(path)), path)
-        return cls.from_tables(body_toml.parse(content, str(path)), path)
-
-    @classmethod
-    def from_tables(cls, tables: dict, path: str | Path) -> Self:
-        """The body of a TOML file's tables; see `load`."""
-        return cls._of(body_toml.of(tables, str(path)), path)
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Self:
-        """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls._of(body_toml.read(path), path)
-
-    @staticmethod
-    def link_of(table: dict) -> Link:
-        """A link of a table."""
-        return Link(**table)
-
-    tables_of = staticmethod(body_chain.tables)
-
-    def largest_moments(self) -> Iterator[Moment]:
-        """Of each link about its centre of mass."""
-        for link in self.links:
-            yield Moment(link.name, link.nominal("inertia"), link.nominal("mass"), link.nominal("length"))
-
-    def to_toml(self, path: str | Path) -> None:
-        """Write a body file that `from_toml` reads back.
-
-        Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
-        """
-        links = [
-            {key: getattr(link, key) for key in body_toml.LINK_KEYS} | joint_parts_toml.told(link.parts)
-            for link in self.links
-        ]
-        body_toml.write(path, {key: getattr(self, key) for key in body_toml.BODY_KEYS} | {"links": links})
+    `planar_body("arm", [Link("upper_arm", "shoulder", "elbow", length=0.3, mass=1.5), …])`: each link begins where the
+    one before ends. `gravity` (x, y) m/s²; `uncertainty` has relative sds of "length", "mass", "com" and "inertia", and
+    of joints' parts. Raises `BodyError` as `Body` does.
+    """
+    return Body(**planar.chained(name, links, gravity, base, uncertainty or {}))

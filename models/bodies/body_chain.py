@@ -105,7 +105,7 @@ def _chain(parts: Sequence[Part], where: str) -> tuple[list[list[Part]], list[Pa
         if strange := [joint for joint in part.joints if joint.type != "hinge"]:
             raise BodyError(
                 f"{where}: expected hinges alone, joint '{strange[0].name}' is of type {strange[0].type}; "
-                "invdyn.models.Tree takes it"
+                "a body of 3 dimensions takes it"
             )
         if len(part.joints) > 1:
             raise BodyError(f"{where}: expected one hinge a body, '{part.name}' has {len(part.joints)}")

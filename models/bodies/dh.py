@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.inertia import six, tensor
 from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.rotations import LETTERS, about, numbers
 from invdyn.models.bodies.scalars import BodyError, number
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
 
 
 class Row(NamedTuple):
@@ -49,17 +49,17 @@ def from_dh(
     convention: str = "modified",
     gravity: Sequence[float] = (0.0, 0.0, -9.81),
     tip: str = "tip",
-) -> Tree:
+) -> Body:
     """Return the arm of a table: links link1 …, joints joint1 …, and a site at the origin of the last frame.
 
     Raises `BodyError` for another convention than "standard" or "modified", rows and inertials that differ in number,
-    joints other than hinges and slides, and what `Tree` refuses.
+    joints other than hinges and slides, and what `Body` refuses.
     """
     if convention not in ("standard", "modified"):
         raise BodyError(f"a table of Denavit and Hartenberg: expected standard or modified, got {convention!r:.40}")
     if len(rows) != len(inertials):
         raise BodyError(f"a table of {len(rows)} rows: expected as many inertials, got {len(inertials)}")
-    links: list[SpatialLink] = []
+    links: list[Link] = []
     R, p = np.eye(3), np.zeros(3)  # the place of the next joint in the frame of the link before
     for place, (row, own) in enumerate(zip(rows, inertials, strict=True), 1):
         where = f"row {place} of a table of Denavit and Hartenberg"
@@ -78,7 +78,7 @@ def from_dh(
             R, p = lean, rise + np.array(reach)
             com, inertia = p + R @ com, R @ inertia @ R.T
         links.append(
-            SpatialLink(
+            Link(
                 name=f"link{place}",
                 joint=Joint(f"joint{place}", row.type),
                 parent=f"link{place - 1}" if links else WORLD,
@@ -90,4 +90,4 @@ def from_dh(
                 sites={tip: p.tolist()} if place == len(rows) else {},
             )
         )
-    return Tree(name, links, gravity)
+    return Body(name, links, gravity)

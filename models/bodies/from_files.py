@@ -1,58 +1,151 @@
-"""Bodies out of files, by tables with one for each link: what chains in the plane and trees in space read alike."""
+"""Bodies out of files and into them, of any format that is known; for the formats see each one's own file."""
 
+import math
 import warnings
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from invdyn.models.bodies import body_mjcf, body_urdf
-from invdyn.models.bodies.parts import Robot
+from invdyn.models.bodies import (
+    body_chain,
+    body_mjcf,
+    body_toml,
+    body_tree,
+    body_urdf,
+    body_xml,
+    joint_parts_toml,
+    planar,
+    robot_file,
+    tree_toml,
+)
+from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.parts import Robot, is_planar_chain
 from invdyn.models.bodies.placeholders import Moment, told
-from invdyn.models.bodies.scalars import BodyError
+from invdyn.models.bodies.scalars import BodyError, nominal
+from invdyn.models.bodies.tree_parameters import vector_of
+from invdyn.models.bodies.whole_file import read_whole
 
 
-class FromFiles(ABC):
-    """Base of bodies that are made as ``cls(links=[...], **tables)``."""
+class FromFiles:
+    """What of a :class:`.Body` has to do with files."""
 
-    @staticmethod
-    @abstractmethod
-    def link_of(table: dict) -> Any:
-        """A link, of its table."""
+    name: str
+    links: Sequence[Link]
+    gravity: Sequence[float]
+    uncertainty: Mapping[str, float]
 
-    @staticmethod
-    @abstractmethod
-    def tables_of(robot: Robot, where: str) -> dict:
-        """Those of a robot's parts. Raises `BodyError`, which begins with ``where``, for a body of another kind."""
+    @property
+    def is_chain(self) -> bool:
+        """Whether it is a chain of sticks in the plane."""
+        raise NotImplementedError
 
-    @abstractmethod
-    def largest_moments(self) -> Iterable[Moment]:
-        """The largest of each link."""
+    @property
+    def base(self) -> tuple[float, ...]:
+        """Where the first joint is, m."""
+        raise NotImplementedError
 
     @classmethod
-    def from_mjcf(cls, path: str | Path) -> Self:
+    def load(cls, path: str | Path, *, filmed: bool = True, dimensions: int | None = None) -> Self:
+        """Read a body file: MJCF (<mujoco>), URDF (<robot>) or TOML; the content says which, not the name.
+
+        A robot's file of hinges about one of the axes x, y and z, without a branch, is a chain in the plane, unless
+        ``dimensions`` is 3, as where a recording shows it in space; then every site of its file is a keypoint. A chain
+        in the plane has its centres of mass on the lines of its joints: a robot that has one beside them, and is not
+        ``filmed`` in a plane, is a tree, and a warning (UserWarning) says so.
+
+        Raises `BodyError`, which names the file and what to do, or `OSError` if it cannot be read.
+        """
+        content = read_whole(path, body_xml.MOST_BYTES)
+        if not body_xml.is_xml(content):
+            return cls.from_tables(body_toml.parse(content, str(path)), path)
+        robot = robot_file.of(content, str(path))
+        if dimensions is None:
+            dimensions = 2 if is_planar_chain(robot.parts) else 3
+            if dimensions == 2 and not filmed and (aside := body_chain.masses_aside(robot, str(path))):
+                words = f"in the plane it would leave out {'; '.join(aside)}"
+                warnings.warn(f"{path}: taken as a body in space; {words}", stacklevel=2)
+                dimensions = 3
+        return cls.from_robot(robot, path, dimensions)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
+        return cls.from_tables(tree_toml.read(path), path)
+
+    @classmethod
+    def from_tables(cls, tables: dict, path: str | Path) -> Self:
+        """The body of a TOML file's tables; dimensions = 3 says a tree. See `load`."""
+        if tree_toml.is_in_space(tables, path):
+            return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path, 3)
+        return cls._of(body_toml.of(tables, str(path)), path, 2)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path, dimensions: int | None = None) -> Self:
         """Read a file of MuJoCo's format (extra `robots`); see `body_mjcf`, and `from_robot` for what it may hold.
 
         Warns of what the file has and rigid links lack. Raises `BodyError`, which names the file, or `OSError`.
         """
-        return cls.from_robot(body_mjcf.read(path), path)
+        return cls.from_robot(body_mjcf.read(path), path, dimensions)
 
     @classmethod
-    def from_urdf(cls, path: str | Path) -> Self:
+    def from_urdf(cls, path: str | Path, dimensions: int | None = None) -> Self:
         """Read a file of URDF; warns and raises as `from_mjcf`."""
-        return cls.from_robot(body_urdf.read(path), path)
+        return cls.from_robot(body_urdf.read(path), path, dimensions)
 
     @classmethod
-    def from_robot(cls, robot: Robot, path: str | Path) -> Self:
-        """The body of a file's parts, in the plane a chain of hinges (`body_chain`), else any tree (`body_tree`)."""
-        return cls._of(cls.tables_of(robot, str(path)), path)
+    def from_robot(cls, robot: Robot, path: str | Path, dimensions: int | None = None) -> Self:
+        """The body of a file's parts: in the plane a chain of hinges (`body_chain`), in space any tree (`body_tree`).
+
+        By default it is a chain in the plane where the file has one.
+        """
+        if dimensions is None:
+            dimensions = 2 if is_planar_chain(robot.parts) else 3
+        tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
+        return cls._of(tables, path, dimensions)
 
     @classmethod
-    def _of(cls, tables: dict, path: str | Path) -> Self:
+    def _of(cls, tables: dict, path: str | Path, dimensions: int) -> Self:
         try:
-            body = cls(**tables | {"links": [cls.link_of(link) for link in tables["links"]]})
+            if dimensions == 2:
+                body = cls(**planar.chained(**tables | {"links": [Link(**link) for link in tables["links"]]}))
+            else:
+                links = [Link(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
+                body = cls(**tables | {"links": links})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
         if strange := told(body.largest_moments()):
             warnings.warn(f"{path}: {strange}", UserWarning, stacklevel=3)
         return body
+
+    def largest_moments(self) -> Iterator[Moment]:
+        """Of each link that states them, the largest about an axis through its centre of mass."""
+        for link in self.links:
+            if self.is_chain:
+                yield Moment(link.name, link.nominal("inertia"), link.nominal("mass"), link.nominal("length"))
+            elif (inertia := vector_of(link, "inertia")) is not None:
+                inner = [other.origin for other in self.links if other.parent == link.name]
+                ends = [vector_of(link, "com"), *link.sites.values(), *inner]
+                far = [math.hypot(*map(nominal, end)) for end in ends if end is not None]
+                length = 0.0 if link.length is None else nominal(link.length)
+                yield Moment(link.name, max(map(nominal, inertia[:3])), nominal(link.mass), max([length, *far]))
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write a body file that `from_toml` reads back.
+
+        Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
+        """
+        if self.is_chain:
+            links = [planar.table(link) | joint_parts_toml.told(link.parts) for link in self.links]
+            given = {"name": self.name, "gravity": self.gravity, "base": self.base, "uncertainty": self.uncertainty}
+            body_toml.write(path, given | {"links": links})
+            return
+        links = [
+            {key.name: getattr(link, key.name) for key in fields(link) if key.name != "parts"}
+            | {key: vector_of(link, key) for key in ("com", "inertia")}
+            | joint_parts_toml.told(link.parts)
+            | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
+            for link in self.links
+        ]
+        tree_toml.write(path, self.name, self.gravity, links, self.uncertainty)

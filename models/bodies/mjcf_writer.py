@@ -21,11 +21,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies.body import Body
-from invdyn.models.bodies.in_space import tree_of
 from invdyn.models.bodies.inertia import tensor
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.bodies.whole_file import write_whole
 
 LEAST = 2e-15
@@ -59,14 +57,14 @@ class _Moves(NamedTuple):
     parts: JointParts | None
 
 
-def write_mjcf(body: Body | Tree, path: str | Path) -> None:
+def write_mjcf(body: Body, path: str | Path) -> None:
     """Write a body as MJCF: a planar one in the plane z = 0, its hinges about z.
 
     Warns (UserWarning) of what MJCF cannot say: priors, learned scalars, driven joints. Raises `BodyError` for a
     massless link that moves with several children or sites of its own, and for a tensor that is no rigid body's where
     that plays a part; `OSError` for no place.
     """
-    tree = tree_of(body) if isinstance(body, Body) else body
+    tree = body.in_space()
     lost = [
         ("priors (written: their means)", body.has_priors or bool(getattr(body, "uncertainty", None))),
         ("learned scalars (written: where they start)", bool(body.learned)),
@@ -84,7 +82,7 @@ def write_mjcf(body: Body | Tree, path: str | Path) -> None:
 
 
 class _Writer:
-    def __init__(self, tree: Tree):
+    def __init__(self, tree: Body):
         self.tree, self.p, self.turning = tree, tree.parameters(), tree.turning()
 
     def children(self, element: Element, parent: int, frame: _Pose) -> None:

@@ -40,8 +40,12 @@ class ArticulatedBody(Protocol):
     """Rigid links on joints; see the top of the file."""
 
     @property
-    def space(self) -> int:
+    def dimensions(self) -> int:
         """D, coordinates of a point: 2 in the plane, 3 in space."""
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether it is a chain of sticks in the plane, with `BodyParameters` as its numbers."""
 
     @property
     def signed(self) -> frozenset[str]:
@@ -122,7 +126,15 @@ class ArticulatedBody(Protocol):
 class BodyBase:
     """What most bodies have in common: no priors, no learned numbers, none that follow from others."""
 
-    signed: ClassVar[frozenset[str]] = frozenset({"gravity"})
+    @property
+    def signed(self) -> frozenset[str]:
+        """Gravity."""
+        return frozenset({"gravity"})
+
+    @property
+    def is_chain(self) -> bool:
+        """It is none."""
+        return False
 
     @property
     def base_keypoint(self) -> str | None:
@@ -198,4 +210,4 @@ def kept_as(name: str) -> str:
 
 def axes(body: ArticulatedBody) -> list[str]:
     """Names of a body's d axes."""
-    return list(AXES[: body.space])
+    return list(AXES[: body.dimensions])

@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.spatial_link import SpatialLink
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.tree_parameters import TreeParameters
 
 
 class Sticks:
     """Those among a tree's ``links``, by their ``parents`` (−1 the world) and the tree's names of sites."""
 
-    def __init__(self, links: Sequence[SpatialLink], parents: Sequence[int], sites: Sequence[str]):
+    def __init__(self, links: Sequence[Link], parents: Sequence[int], sites: Sequence[str]):
         sticks = [link.length is not None for link in links]
         on_stick = [parent >= 0 and sticks[parent] for parent in parents]
         self.any = any(sticks)

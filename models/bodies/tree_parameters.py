@@ -1,4 +1,4 @@
-"""The numbers of a tree in space as tensors, put together from what its links say; conventions as in :mod:`.tree`."""
+"""The numbers of a tree in space as tensors, put together from what its links say; conventions as in :mod:`.body`."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.inertia import NAMES
+from invdyn.models.bodies.link import Link, Vector
 from invdyn.models.bodies.scalars import Scalar
-from invdyn.models.bodies.spatial_link import SpatialLink, Vector
 
 
 class TreeParameters(NamedTuple):
@@ -32,23 +32,31 @@ class TreeParameters(NamedTuple):
 
 
 def assembled(
-    links: Sequence[SpatialLink],
+    links: Sequence[Link],
     parents: Sequence[int],
     gravity: Sequence[float],
     draw: Callable[[Scalar, str], Tensor],
+    lengths_first: bool = False,
 ) -> TreeParameters:
-    """The numbers of ``links`` on their ``parents`` (−1 the world), each scalar by ``draw`` of it and its site."""
+    """The numbers of ``links`` on their ``parents`` (−1 the world), each scalar by ``draw`` of it and its site.
 
-    def drawn(values: Vector, link: SpatialLink, word: str, letters: Sequence[str] = "xyz") -> list[Tensor]:
+    ``lengths_first``: a link's length is drawn before its mass, as seeds of chains in the plane rely on.
+    """
+
+    def drawn(values: Vector, link: Link, word: str, letters: Sequence[str] = "xyz") -> list[Tensor]:
+        one = word in ("com", "inertia") and link.along(word)
         return [
-            value if isinstance(value, Tensor) else draw(value, f"{link.name}.{word}_{letter}")
+            value if isinstance(value, Tensor) else draw(value, f"{link.name}.{word}" + ("" if one else f"_{letter}"))
             for value, letter in zip(values, letters, strict=True)
         ]
 
     mass, com, inertia, position, sites, lengths = [], [], [], [], [], []
     for link, parent in zip(links, parents, strict=True):
-        mass.append(draw(link.mass, f"{link.name}.mass"))
-        length = None if link.length is None else draw(link.length, f"{link.name}.length")
+        scalars = {"mass": link.mass, "length": link.length}
+        order = sorted(scalars) if lengths_first else list(scalars)
+        own = {key: draw(value, f"{link.name}.{key}") for key in order if (value := scalars[key]) is not None}
+        mass.append(own["mass"])
+        length = own.get("length")
         lengths.append(length)
         stretch = 0.0 if parent < 0 or lengths[parent] is None else lengths[parent]
         com.append(drawn(_com(link, length), link, "com"))
@@ -67,17 +75,25 @@ def assembled(
     )
 
 
-def moments(link: SpatialLink, mass: Any, length: Any) -> Sequence[Any]:
+def vector_of(link: Link, quantity: str) -> Vector | None:
+    """A link's com (3) or inertia (6) as stated, None where it is left out; one number is along x, or about z."""
+    value = getattr(link, quantity)
+    if value is None or not link.along(quantity):
+        return value
+    return (value, 0.0, 0.0) if quantity == "com" else (0.0, 0.0, value, 0.0, 0.0, 0.0)
+
+
+def moments(link: Link, mass: Any, length: Any) -> Sequence[Any]:
     """A link's six moments about its centre of mass, kg·m²: its own, or those of a thin rod of that mass and length."""
-    if link.inertia is not None:
-        return link.inertia
+    if (given := vector_of(link, "inertia")) is not None:
+        return given
     rod = 0.0 if length is None else mass * length**2 / 12
     return (0.0, rod, rod, 0.0, 0.0, 0.0)
 
 
-def _com(link: SpatialLink, length: Any) -> Sequence[Any]:
-    if link.com is not None:
-        return link.com
+def _com(link: Link, length: Any) -> Sequence[Any]:
+    if (given := vector_of(link, "com")) is not None:
+        return given
     return (0.0, 0.0, 0.0) if length is None else (length / 2, 0.0, 0.0)
 
 

@@ -74,11 +74,9 @@ def read(path: str | Path) -> dict:
 def of(tables: dict, path: str | Path) -> dict:
     """Return gravity and links, and the name if it has one, of the tables of a body file in space.
 
-    Each link is a dict of what `SpatialLink` takes, with its joint as a dict of what `Joint` takes. Raises `BodyError`
-    for a planar file, unknown or missing keys.
+    Each link is a dict of what `Link` takes, with its joint as a dict of what `Joint` takes. Raises `BodyError`
+    for unknown or missing keys.
     """
-    if not is_in_space(tables, path):
-        raise BodyError(f"{path}: a planar body; one in space has dimensions = 3 at its top")
     links = tables.get("links")
     if not isinstance(links, list) or not links or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
@@ -154,5 +152,5 @@ def _rows(value: object, key: str, where: str) -> tuple:
 
 def _vector(values: object, where: str) -> object:
     if not isinstance(values, list):
-        return values  # what is no vector at all, `SpatialLink` refuses
+        return values  # what is no vector at all, `Link` refuses
     return [scalar_from_table(value, where) for value in values]

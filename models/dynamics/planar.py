@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.joints import WORLD, Joint
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
+from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 from invdyn.models.dynamics.spatial.frames import Entry
 from invdyn.models.dynamics.traced.compiled import PAYS
@@ -80,13 +80,13 @@ class PlanarDynamics(SpatialDynamics):
         return entry
 
 
-def _chain(num_joints: int) -> Tree:
+def _chain(num_joints: int) -> Body:
     """A planar chain of unit links as a tree."""
     links = [
-        SpatialLink(f"link{k}", Joint(f"joint{k}"), f"link{k - 1}" if k else WORLD, length=1.0, tip=f"tip{k}", mass=1.0)
+        Link(f"link{k}", Joint(f"joint{k}"), parent=f"link{k - 1}" if k else WORLD, length=1.0, tip=f"tip{k}", mass=1.0)
         for k in range(num_joints)
     ]
-    return Tree("chain", links, (0.0, -9.81, 0.0))
+    return Body("chain", links, (0.0, -9.81, 0.0))
 
 
 @cache

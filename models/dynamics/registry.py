@@ -9,9 +9,10 @@ from functools import singledispatch
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
+from invdyn.models.dynamics.symbolic import SymbolicDynamics
 
 ENGINES = ("traced", "symbolic")
 
@@ -28,29 +29,17 @@ def dynamics_for(body: ArticulatedBody, engine: str = "traced") -> Dynamics:
 
 @dynamics_for.register
 def _(body: Body, engine: str = "traced") -> Dynamics:
+    if engine not in ENGINES:
+        raise ValueError(f"expected dynamics among {', '.join(ENGINES)}, got {engine!r}")
     if engine == "symbolic":
-        from invdyn.models.dynamics.symbolic import SymbolicDynamics
-
+        if not body.is_chain:
+            raise ValueError(f"body '{body.name}': symbolic dynamics are those of a planar chain: leave dynamics out")
         return SymbolicDynamics(body.num_joints)
-    _check_engine(engine)
-    return planar_dynamics(body.num_joints)
-
-
-@dynamics_for.register
-def _(body: Tree, engine: str = "traced") -> Dynamics:
-    from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
-
-    if engine == "symbolic":
-        raise ValueError(f"body '{body.name}': symbolic dynamics are those of a planar chain: leave dynamics out")
-    _check_engine(engine)
+    if body.is_chain:
+        return planar_dynamics(body.num_joints)
     if body.driven_names:
         raise BodyError(
             f"body '{body.name}': expected no driven joints, got {', '.join(body.driven_names)}: a model has no motion "
             "to give them yet; SpatialDynamics takes one"
         )
     return SpatialDynamics(body)
-
-
-def _check_engine(engine: str) -> None:
-    if engine not in ENGINES:
-        raise ValueError(f"expected dynamics among {', '.join(ENGINES)}, got {engine!r}")

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.shapes import common
 

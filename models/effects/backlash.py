@@ -29,7 +29,7 @@ import torch
 from pyro.distributions import Exponential
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.dense_output import Passage
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics

@@ -44,7 +44,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
@@ -146,7 +145,7 @@ class Effect(ABC):
     @classmethod
     def fits(cls, body: ArticulatedBody) -> bool:
         """Whether it can act on a body of this kind, at any place."""
-        return not cls.planar or isinstance(body, Body)
+        return not cls.planar or body.is_chain
 
     def bound(self, body: ArticulatedBody) -> Self:
         """Return the effect with its places looked up in ``body``.

@@ -30,7 +30,7 @@ class GravityTilt(Effect):
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         other = super()._bound(body, where)
-        if body.space == 3:
+        if body.dimensions == 3:
             upright = max(range(3), key=lambda axis: abs(body.gravity[axis]))
             other.about = tuple(axis for axis in range(3) if axis != upright)
         return other

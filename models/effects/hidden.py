@@ -19,7 +19,7 @@ from typing import ClassVar, NamedTuple, overload
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Effect, Scale, Values

@@ -42,7 +42,7 @@ class InertialError(Effect):
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         other = super()._bound(body, where)
-        other.coms = ("com",) if body.space == 2 else tuple(f"com_{axis}" for axis in AXES)
+        other.coms = ("com",) if body.dimensions == 2 else tuple(f"com_{axis}" for axis in AXES)
         return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.effects.base import with_entry
 
@@ -54,7 +54,7 @@ class Inertia(NamedTuple):
 
 def has_inertias(body: ArticulatedBody) -> bool:
     """Whether its links' numbers are of a kind that is known here."""
-    return isinstance(body, Body | Tree)
+    return isinstance(body, Body)
 
 
 def inertia_of(numbers: Numbers, link: int) -> Inertia:

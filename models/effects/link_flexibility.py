@@ -13,7 +13,7 @@ import torch
 from pyro.distributions import LogNormal, Uniform
 from torch import Tensor
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics

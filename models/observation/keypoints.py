@@ -67,7 +67,7 @@ class Keypoints(NoisySensor):
         if missing:
             raise ValueError(f"expected keypoints among {', '.join(known)}, got {missing[0]!r}")
         sites = tuple(known.index(site) if isinstance(site, str) else int(site) for site in self.sites)
-        return replace(self, sites=sites, names=tuple(known[site] for site in sites), coordinates=body.space)
+        return replace(self, sites=sites, names=tuple(known[site] for site in sites), coordinates=body.dimensions)
 
     def to(self, device: torch.device | str) -> Self:
         """See :meth:`Sensor.to`."""

@@ -99,8 +99,8 @@ class Pixels(NoisySensor):
         Raises ValueError for sites that it does not have, and for a body in the plane.
         """
         known = body.keypoint_names
-        if body.space != 3:
-            raise ValueError(f"expected a body in space for cameras, got '{body.name}', which has {body.space} axes")
+        if body.dimensions != 3:
+            raise ValueError(f"expected a body in space for cameras, '{body.name}' has {body.dimensions} axes")
         places = [known.index(site) if site in known else site for site in self.sites]
         for site in places:
             if site not in range(len(known)):

@@ -11,7 +11,7 @@ from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.neighbours import of_same_period
 from invdyn.diagnosis.catalogue.period_equivalents import factor
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
@@ -23,7 +23,7 @@ SEEN = np.arange(0, 101) / 50
 
 def body(joints, gravity=(0.0, -9.81), base=(0.0, 0.0)):
     links = [Link(f"l{k}", f"p{k}", f"p{k + 1}", 0.3, 1.0 - 0.3 * k, 0.14, 0.008) for k in range(joints)]
-    return Body("arm", links, gravity, base)
+    return planar_body("arm", links, gravity, base)
 
 
 def picture(arm, effects=(), q=None, qd=None, torque=0.0, seen=SEEN, time=TIME):

@@ -18,7 +18,7 @@ from invdyn.blindcheck.judge import judge
 from invdyn.blindcheck.motion import random_plan, simulated
 from invdyn.blindcheck.run import BlindRun
 from invdyn.blindcheck.worker import diagnose_case
-from invdyn.models import Tree, dynamics_for, load_body
+from invdyn.models import dynamics_for, load_body
 from invdyn.models.bodies.inertia import six
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.effects import EFFECTS
@@ -148,7 +148,7 @@ def test_a_case_is_whole(kind, effect, tmp_path, monkeypatch):
     case.write(tmp_path)
     canonical(case.answer)  # finite throughout, and plain JSON
     body = load_body(tmp_path / "body.toml")
-    assert isinstance(body, Tree)
+    assert not body.is_chain
     assert 3 <= body.num_joints <= 7
     read = read_keypoint_csv(tmp_path / "recording.csv", keypoints=body.keypoint_names, joints=body.joint_names)
     assert (read.torques is not None) == (case.regime == "commanded")

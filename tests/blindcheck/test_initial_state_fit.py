@@ -6,12 +6,12 @@ import pytest
 from invdyn.blindcheck.effects.disturbances import external_push
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.simulator import World
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")
 NOISE = 1e-3
 LINKS = [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("lower", "elbow", "wrist", 0.25, 0.6)]
-ARM = Body("arm", LINKS, gravity=(0.0, -9.81))
+ARM = planar_body("arm", LINKS, gravity=(0.0, -9.81))
 TIME = np.arange(401) * 0.01
 FRAMES = TIME[10:]
 

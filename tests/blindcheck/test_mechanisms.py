@@ -13,12 +13,12 @@ import torch
 from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.effects import MECHANISMS
 from invdyn.blindcheck.simulator import World
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import EFFECTS, Backlash
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("fine_steps")
-ARM = Body(
+ARM = planar_body(
     "arm",
     [Link("upper", "shoulder", "elbow", 0.3, 1.5, 0.14, 0.012), Link("fore", "elbow", "wrist", 0.27, 1.0)],
 )
@@ -95,7 +95,7 @@ def test_dry_friction_when_it_slides(name):
 
 
 def test_dry_friction_holds_at_rest():
-    level = Body("arm", ARM.links, gravity=(0, 0))
+    level = planar_body("arm", ARM.links, gravity=(0, 0))
     world = World(level)
     MECHANISMS["coulomb_friction"](world, 0, 0.5)
     MECHANISMS["coulomb_friction"](world, 1, 0.5)
@@ -106,7 +106,7 @@ def test_dry_friction_holds_at_rest():
 def test_dry_friction_turns_around_with_the_motion():
     """A rod thrown against a torque: MuJoCo's friction creeps through the turn for no more than two steps."""
     inertia, level, push = 1.0 * 0.3**2 / 3, 0.3, -0.6
-    world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
+    world = World(planar_body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
     MECHANISMS["coulomb_friction"](world, 0, level)
     real = world.run(ROWS, lambda *_: np.array([push]), [0.0], [6.0])
     stop = 6.0 * inertia / (level - push)
@@ -198,7 +198,7 @@ def test_inertial_changes_are_those_of_another_body():
 
 def test_tilt_turns_gravity():
     _, real, *_ = moved("gravity_tilt", {"angle": 0.1})
-    tilted = Body("arm", ARM.links, gravity=(9.81 * np.sin(0.1), -9.81 * np.cos(0.1)))
+    tilted = planar_body("arm", ARM.links, gravity=(9.81 * np.sin(0.1), -9.81 * np.cos(0.1)))
     np.testing.assert_allclose(real.q, World(tilted).run(ROWS, swing, *START).q, atol=1e-9)
 
 
@@ -225,7 +225,7 @@ def test_a_moving_base_drags_the_arm_along():
     for axis, size in ((0, 0.02), (1, 0.01)):
         g = np.eye(2)[axis]
         still = np.zeros((len(inside), 2))
-        pull = -World(Body("arm", ARM.links, gravity=tuple(g))).inverse(real.q[inside], still, still)
+        pull = -World(planar_body("arm", ARM.links, gravity=tuple(g))).inverse(real.q[inside], still, still)
         expected = expected + pull * (size * (4 * np.pi) ** 2 * swings[inside])[:, None]
     close(torque, expected, 3e-3)
 

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from invdyn.blindcheck.effects.joints import stribeck_friction
 from invdyn.blindcheck.simulator import World
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("fine_steps")
@@ -17,7 +17,7 @@ def test_friction_through_bristles_is_the_law_of_lugre():
     """A rod that turns around twice a second, and an ODE solver's LuGre; the force is constant over steps of .2 ms."""
     inertia, law = 1.0 * 0.3**2 / 3, {"coulomb": 0.1, "static": 0.25, "velocity": 0.8}
     stiff, damping = 120.0, 0.8
-    world = World(Body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
+    world = World(planar_body("rod", [Link("rod", "hinge", "tip", 0.3, 1.0)], gravity=(0, 0)))
     stribeck_friction(world, 0, **law, bristle_stiffness=stiff, bristle_damping=damping)
     real = world.run(ROWS, lambda row, t, q, qd: np.array([0.4 * np.sin(6 * t)]), [0.0], [0.0])
 

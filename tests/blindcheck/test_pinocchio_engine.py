@@ -10,11 +10,11 @@ from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
 from invdyn.blindcheck.motion import random_body, random_plan, simulated
 from invdyn.blindcheck.pinocchio import simulator
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")
 pytest.importorskip("pinocchio")
-ARM = Body(
+ARM = planar_body(
     "arm",
     [Link("upper", "shoulder", "elbow", 0.3, 1.5, 0.14, 0.012), Link("fore", "elbow", "wrist", 0.27, 1.0)],
     base=(0.1, -0.2),

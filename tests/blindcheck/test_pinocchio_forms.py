@@ -11,11 +11,11 @@ from invdyn.blindcheck.motion import random_plan
 from invdyn.blindcheck.pinocchio.bodies_and_motors import cut
 from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.scene import scene
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")  # yardsticks of the names test
 pytest.importorskip("pinocchio")
-ARM = Body(
+ARM = planar_body(
     "arm",
     [Link("upper", "shoulder", "elbow", 0.3, 1.5, 0.14, 0.012), Link("fore", "elbow", "wrist", 0.27, 1.0)],
 )
@@ -82,7 +82,7 @@ def test_a_torque_at_one_joint(name, joint):
 
 
 def test_hard_friction_holds_at_rest_and_does_not_creep():
-    level = Body("arm", ARM.links, gravity=(0, 0))
+    level = planar_body("arm", ARM.links, gravity=(0, 0))
     world = PINOCCHIO.world(level)
     for joint in (0, 1):
         PINOCCHIO.mechanisms["coulomb_friction"](world, joint, 0.5)
@@ -118,7 +118,7 @@ def test_a_half_wave_has_the_impulse_of_a_constant_force():
     ends = []
     peak = np.pi / 2 * np.array([2.0, -3.0])
     for force in ({"force_x": 2.0, "force_y": -3.0}, {"peak_x": peak[0], "peak_y": peak[1]}):
-        world = PINOCCHIO.world(Body("arm", ARM.links, gravity=(0, 0)))
+        world = PINOCCHIO.world(planar_body("arm", ARM.links, gravity=(0, 0)))
         PINOCCHIO.mechanisms["external_push"](world, 1, start=0.5013, stop=0.5113, **force)
         ends.append(world.run(ROWS[:31], lambda *_: np.zeros(2), [0.3, 0.4], [0.0, 0.0]).qd[-1])
     np.testing.assert_allclose(ends[0], ends[1], rtol=2e-3)

@@ -22,8 +22,7 @@ from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.sentences import verdict
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.diagnosis.write_back.write_back import write_back
-from invdyn.models import Tree, load_body, write_mjcf
-from invdyn.models.bodies.in_space import tree_of
+from invdyn.models import load_body, write_mjcf
 from invdyn.models.effects import EFFECTS
 
 FEW = ("viscous_friction", "coulomb_friction", "armature", "payload", "actuator_delay", "actuator_gain")
@@ -49,7 +48,7 @@ def screened(recording, body, kinds):
 @pytest.mark.long
 def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one():
     log = robot_log(1.2, damping=(0.0, 0.08), camera=False)
-    flat, deep = (screened(log, each, FEW) for each in (PLANAR, tree_of(PLANAR)))
+    flat, deep = (screened(log, each, FEW) for each in (PLANAR, PLANAR.in_space()))
     evidence = [{key(s.effect): s.log_evidence for s in added(found)} for _, _, found in (flat, deep)]
     assert evidence[0].keys() == evidence[1].keys() >= {"payload", "armature.elbow", "actuator_delay"}
     for name, value in evidence[0].items():
@@ -106,7 +105,7 @@ def test_a_payload_is_found_said_drawn_and_written_into_the_file(body, tmp_path)
 
 def test_uncertain_numbers_of_a_tree_are_left_free(tmp_path):
     path = tmp_path / "tree.toml"
-    tree = tree_of(PLANAR)
+    tree = PLANAR.in_space()
     tree.to_toml(path)
     text = path.read_text().replace("mass = 1.5", "mass = {mean = 1.5, sd = 0.1}")
     path.write_text(text)
@@ -142,7 +141,7 @@ def test_seven_hinges_in_space(tmp_path):
 
 def test_numbers_of_links_in_space_are_those_of_the_plane():
     """A payload and an inertial error do to a planar arm's tree what they do to the planar arm."""
-    tree = tree_of(PLANAR)
+    tree = PLANAR.in_space()
     for effect, p, q in (
         (EFFECTS["payload"](), {"mass": 0.3}, {"mass": 0.3}),
         (
@@ -161,5 +160,5 @@ def test_numbers_of_links_in_space_are_those_of_the_plane():
         assert torch.allclose(flat.mass, deep.mass)
         assert torch.allclose(flat.com, deep.com[:, 0])
         assert torch.allclose(flat.inertia, deep.inertia[:, 2])
-    assert isinstance(tree, Tree)
+    assert not tree.is_chain
     assert tree.hand == PLANAR.hand == (1, 1)

@@ -13,7 +13,7 @@ import pytest
 from pendulum import ARM, recording_of
 
 from invdyn.diagnosis import diagnose
-from invdyn.models import Body, load_body
+from invdyn.models import Body, load_body, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError, Recording, load, write_keypoint_csv
 
@@ -115,7 +115,7 @@ def test_gravity_and_recording_that_turn_together_change_nothing():
 @pytest.mark.long
 def test_an_arm_twice_as_long_under_twice_the_gravity_has_four_times_the_torques():
     """Times stay, √(L/g); masses stay, so that inertias and torques grow with the square of lengths."""
-    large = Body(
+    large = planar_body(
         "arm",
         [replace(link, length=2 * link.length) for link in ARM.links],
         gravity=tuple(2 * np.array(ARM.gravity)),
@@ -157,7 +157,7 @@ def test_names_are_only_names():
         replace(link, name=f"l{k}", joint=names[link.joint], tip=names[link.tip]) for k, link in enumerate(ARM.links)
     ]
     log = replace(rubbing(), keypoint_names=("j2", "end"), joint_names=("j1", "j2"))
-    found = said(log, Body("other", links, gravity=ARM.gravity))
+    found = said(log, planar_body("other", links, gravity=ARM.gravity))
 
     def renamed(each: dict) -> dict:
         return {key.replace("j1", "shoulder").replace("j2", "elbow"): value for key, value in each.items()}

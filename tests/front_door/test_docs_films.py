@@ -20,7 +20,7 @@ import invdyn.recordings.cameras as cameras
 from invdyn.blindcheck.run import BlindRun
 from invdyn.blindcheck.score import score
 from invdyn.label_server import LabelServer
-from invdyn.models import Joint, SpatialLink, Tree
+from invdyn.models import Body, Joint, Link
 from invdyn.recordings import Recording, write_keypoint_csv
 from invdyn.recordings.cameras import project, write_calibration
 from invdyn.recordings.cameras.intrinsics import Intrinsics
@@ -88,8 +88,8 @@ def test_cameras(tmp_path, monkeypatch, run, quick_inference):
     write_calibration(both.scaled(3.0, metric=False), tmp_path / "unknown.toml")
     ball, sites = (0.01, 0.01, 0.01, 0.0, 0.0, 0.0), {"elbow": (0.28, 0.0, 0.0), "wrist": (0.5, 0.0, 0.0)}
     hung = {"origin": (0.0, 0.0, 1.3), "mass": 1.0, "com": (0.1, 0.0, 0.0), "inertia": ball, "sites": sites}
-    arm = SpatialLink("arm", Joint("shoulder", "universal"), **hung)
-    Tree("arm", [arm]).to_toml(tmp_path / "arm.toml")
+    arm = Link("arm", Joint("shoulder", "universal"), **hung)
+    Body("arm", [arm]).to_toml(tmp_path / "arm.toml")
     lenses = {c.name: Intrinsics(c.matrix, c.distortion, c.size, 0.2, np.array([1.5, 1.5]), 17) for c in both}
     found = replace(both, error=0.2), lenses
     monkeypatch.setattr(cameras, "calibrate", lambda sources, board, every, progress: found)

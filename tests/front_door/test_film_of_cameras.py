@@ -8,7 +8,7 @@ import torch
 from scenes import ring
 
 from invdyn.inference import load_posterior
-from invdyn.models import ArmModel, Joint, Keypoints, Observation, SpatialLink, Tree
+from invdyn.models import ArmModel, Body, Joint, Keypoints, Link, Observation
 from invdyn.recordings import Recording, write_keypoint_csv
 from invdyn.recordings.cameras import project, write_calibration
 
@@ -20,7 +20,7 @@ PLANAR = 'name = "arm"\n[[links]]\nname = "rod"\njoint = "pivot"\ntip = "tip"\nl
 def rod(length=0.4):
     ball = (0.01, 0.01, 0.01, 0.0, 0.0, 0.0)
     hanging = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
-    link = SpatialLink(
+    link = Link(
         "rod",
         Joint("pivot", "universal"),
         origin=(0.0, 0.0, 1.0),
@@ -30,7 +30,7 @@ def rod(length=0.4):
         inertia=ball,
         sites={"middle": (length / 2, 0.0, 0.0), "tip": (length, 0.0, 0.0)},
     )
-    return Tree("rod", [link])
+    return Body("rod", [link])
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import xarray as xr
 from invdyn.film import arm_points, film_frames, skeleton, still_parts
 from invdyn.inference.plausible_for_body import rigid_distances
 from invdyn.inputs import load_body, load_recording, read_table
-from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
+from invdyn.models import Body, Joint, Link, dynamics_for
 from invdyn.plots import plot_comparison, plot_posterior
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
 from invdyn.simulate import resting
@@ -169,7 +169,7 @@ def test_what_cannot_be_this_body_is_refused(robot, change, options, message):
 
 def test_a_body_without_points_is_refused(robot):
     write_keypoint_csv(filmed(robot, ["tool"]), "rec.csv")
-    bare = Tree("bare", [SpatialLink("rod", Joint("j"), mass=1.0, inertia=(1, 1, 1, 0, 0, 0))])
+    bare = Body("bare", [Link("rod", Joint("j"), mass=1.0, inertia=(1, 1, 1, 0, 0, 0))])
     with pytest.raises(InputError, match="names no point: give its last link a tip, or a site"):
         load_recording("rec.csv", bare)
 
@@ -182,7 +182,7 @@ def test_a_body_stays_where_it_hangs(robot):
 
 def test_what_gravity_does_not_move_stays_anywhere(robot):
     """A turret by itself: its energy is the same in every posture."""
-    (pan,) = resting(Tree("turret", robot.links[:1]))
+    (pan,) = resting(Body("turret", robot.links[:1]))
     assert np.isfinite(pan)
 
 

@@ -1,13 +1,11 @@
 """What a command is given: where the tips of a tracked base lie."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
 from invdyn.inputs import load_recording, read_logs
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording, write_keypoint_csv
 
 ROD = Link("rod", "pivot", "tip", length=0.3, mass=1.0)
@@ -26,7 +24,7 @@ def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
         points, names = np.concatenate([np.broadcast_to(shift, (30, 1, 2)), points], 1), ("pivot", "tip")
     file = tmp_path / "rec.csv"
     write_keypoint_csv(Recording(TIME, points, names), file)
-    body = replace(Body("arm", [ROD]), base=base)
+    body = planar_body("arm", [ROD], base=base)
     recording = load_recording(str(file), body)
     assert recording.keypoint_names == ("tip",)
     np.testing.assert_allclose(recording.keypoints[:, 0], TIP + np.array(base), atol=1e-6)
@@ -38,7 +36,7 @@ def test_a_tracked_base_in_three_dimensions_is_one_line(tmp_path):
     points[:, 1, 2] = 0.01 * TIME
     file = tmp_path / "rec.csv"
     write_keypoint_csv(Recording(TIME, points, ("pivot", "tip")), file)
-    body = replace(Body("arm", [ROD]), base=(0.4, -0.2))
+    body = planar_body("arm", [ROD], base=(0.4, -0.2))
     with pytest.raises(InputError, match=r"rec\.csv: .* three coordinates .* plane=xy"):
         load_recording(str(file), body, base="pivot")
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, Link, planar_dynamics
+from invdyn.models import Link, planar_body, planar_dynamics
 from invdyn.recordings import InputError
 from invdyn.simulate import paper_arm, random_arm, record
 
-BODY = Body(
+BODY = planar_body(
     "arm",
     (Link("upper_arm", "shoulder", "elbow", 0.3, 1.5), Link("forearm", "elbow", "wrist", 0.25, 1.0)),
 )
@@ -81,7 +81,7 @@ def test_by_default_an_arm_swings_and_does_not_whirl():
 
 
 def test_an_arm_hangs_at_the_start_along_gravity():
-    sideways = Body("arm", BODY.links, gravity=(9.81, 0.0))
+    sideways = planar_body("arm", BODY.links, gravity=(9.81, 0.0))
     starts = [record(random_arm(sideways, duration=0.1, seed=s), s)[1].angle[0, 0] for s in range(40)]
     assert abs(np.mean(starts)) < 4 * 0.3 / math.sqrt(40)
 

@@ -69,7 +69,7 @@ class Points(BodyBase):
 
 
 class Bead(Points):
-    space: ClassVar[int] = 1
+    dimensions: ClassVar[int] = 1
 
     @staticmethod
     def places(q, length):
@@ -83,7 +83,7 @@ def direction(angle):
 class Fork(Points):
     """A trunk that ends in two branches; the left one has a site in its middle too."""
 
-    space: ClassVar[int] = 2
+    dimensions: ClassVar[int] = 2
 
     @staticmethod
     def places(q, length):
@@ -96,7 +96,7 @@ class Fork(Points):
 class Ball(Points):
     """On a rod of one joint with yaw and pitch, whose gravity is along the x axis."""
 
-    space: ClassVar[int] = 3
+    dimensions: ClassVar[int] = 3
 
     @staticmethod
     def places(q, length):
@@ -236,18 +236,18 @@ def test_lagranges_equations_conserve_energy():
 
 
 @pytest.mark.quick("1-D")
-@pytest.mark.parametrize("body", [BEAD, FORK, BALL], ids=lambda body: f"{body.space}-D")
+@pytest.mark.parametrize("body", [BEAD, FORK, BALL], ids=lambda body: f"{body.dimensions}-D")
 def test_keypoints_in_any_number_of_dimensions(body):
     model = model_of(body, Keypoints(body.keypoint_names))
-    assert model.observation_dim == len(body.keypoint_names) * body.space
+    assert model.observation_dim == len(body.keypoint_names) * body.dimensions
     problem, path = problem_of(model)
     problem.observations[5, 0] = problem.observations[9] = torch.nan
     by_filter = smc(problem, options=SMCOptions(num_filters=8, num_particles=60, refits=0), seed=1)
     by_laplace = laplace(problem, options=SMCOptions(num_filters=8, num_draws=20), seed=1)
     for idata in (by_filter, by_laplace):
         assert idata.posterior["position"].dims == ("chain", "draw", "time", "keypoint", "space")
-        assert idata.posterior["space"].values.tolist() == list("xyz"[: body.space])
-        assert idata.observed_data["position"].shape == (STEPS, len(body.keypoint_names), body.space)
+        assert idata.posterior["space"].values.tolist() == list("xyz"[: body.dimensions])
+        assert idata.observed_data["position"].shape == (STEPS, len(body.keypoint_names), body.dimensions)
         check(idata, path, model)
     assert by_filter.attrs["outer_ess"] > 7
     # Near its mode each is Gaussian; the bead is so everywhere.

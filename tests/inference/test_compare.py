@@ -17,11 +17,11 @@ from torch.distributions import MultivariateNormal
 from invdyn.inference import METHODS, Comparison, arm_problem, compare, evidence_note, fit, prepare
 from invdyn.inference.held_out import Continued, log_score
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording, Truth
 
 TIME = 0.03 * np.arange(40)
-ARM = Body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
+ARM = planar_body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
 KNOWN = {
     "torque.scale": 3.0,
     "torque.decay": 4.0,

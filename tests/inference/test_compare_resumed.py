@@ -7,13 +7,13 @@ import pytest
 
 from invdyn.inference import compare
 from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording, Truth
 
 pytest.importorskip("safetensors")
 
 TIME = 0.03 * np.arange(14)
-ARM = Body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
+ARM = planar_body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
 KNOWN = {
     "torque.scale": 3.0,
     "torque.decay": 4.0,

@@ -22,7 +22,6 @@ from invdyn.models import (
     FAMILIES,
     INTEGRATORS,
     TORQUE_PROCESSES,
-    Body,
     Link,
     Matern32,
     Matern52,
@@ -30,6 +29,7 @@ from invdyn.models import (
     RandomWalk,
     Recurrent,
     SmoothAndRough,
+    planar_body,
     planar_dynamics,
 )
 from invdyn.recordings import InputError, Recording
@@ -51,7 +51,7 @@ QUICK = {
 
 def body(joints, gravity=(0.0, -9.81)):
     links = [Link(f"link{k}", JOINTS[k], TIPS[k], length=(0.35, 0.3)[k], mass=(1.5, 1.0)[k]) for k in range(joints)]
-    return Body("arm", links, gravity=gravity)
+    return planar_body("arm", links, gravity=gravity)
 
 
 def problem(joints):

@@ -20,7 +20,7 @@ from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.filters import compiled as compiled_module
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.vsmc import GRADIENTS, VSMC_ELBO
-from invdyn.models import ArmModel, Body, Keypoints, LinearGaussian, Link, Observation
+from invdyn.models import ArmModel, Keypoints, LinearGaussian, Link, Observation, planar_body
 from invdyn.recordings import InputError
 
 STEPS = 12
@@ -29,7 +29,7 @@ STEPS = 12
 def arm_of(rows):
     """A two-joint arm of so many rows."""
     links = [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)]
-    body = Body("arm", links, gravity=(0.0, -9.81))
+    body = planar_body("arm", links, gravity=(0.0, -9.81))
     return ArmModel(body, 0.02 * torch.arange(rows), Observation(Keypoints([0, 1]))).to(torch.float32)
 
 

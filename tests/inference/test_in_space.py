@@ -18,7 +18,7 @@ from invdyn.inference import (
     save_posterior,
 )
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import FAMILIES, INTEGRATORS, TORQUE_PROCESSES, Joint, SpatialLink, Tree, dynamics_for
+from invdyn.models import FAMILIES, INTEGRATORS, TORQUE_PROCESSES, Body, Joint, Link, dynamics_for
 from invdyn.recordings import Recording
 
 T, NOISE = 14, 0.005
@@ -37,10 +37,10 @@ KNOWN = {"torque.scale": 4.0, "emission.keypoint_scale": NOISE, "noise.velocity"
 
 def arm():
     """A shoulder with yaw and pitch, an elbow that bends about a level axis; a fin makes the links no thin rods."""
-    return Tree(
+    return Body(
         "arm",
         [
-            SpatialLink(
+            Link(
                 "upper",
                 Joint("shoulder", "universal"),
                 length=0.35,
@@ -48,10 +48,10 @@ def arm():
                 mass=1.5,
                 inertia=(0.002, 0.015, 0.015, 0, 0, 0),
             ),
-            SpatialLink(
+            Link(
                 "fore",
                 Joint("elbow", axis=(0.0, 1.0, 0.0)),
-                "upper",
+                parent="upper",
                 mass=1.0,
                 com=(0.15, 0.0, 0.01),
                 inertia=(0.001, 0.008, 0.008, 0.0, 0.0, 0.0),

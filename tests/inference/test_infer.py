@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from invdyn.inference import METHODS, SMCOptions, arm_problem, free_parameters, infer, pooled, prepare
-from invdyn.models import ArmModel, Body, Learned, Link, Matern32
+from invdyn.models import ArmModel, Learned, Link, Matern32, planar_body
 from invdyn.recordings import InputError, Recording, Truth
 
 SMALL = {"num_filters": 8, "num_particles": 30, "num_draws": 3}
@@ -23,7 +23,7 @@ JOINTS = ("shoulder", "elbow")
 
 def body(**links):
     values = {"length": (0.35, 0.3), "mass": (1.5, 1.0), **links}
-    return Body(
+    return planar_body(
         "arm",
         [
             Link(f"link{k}", joint, tip, length=values["length"][k], mass=values["mass"][k])

@@ -7,7 +7,7 @@ from scenes import ring
 from trees import paper_arm
 
 from invdyn.inference import infer_kinematics, learned_lengths, load_posterior, pooled, save_posterior
-from invdyn.models import Body, KinematicModel, Link
+from invdyn.models import KinematicModel, Link, planar_body
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Views, filmed
 
@@ -82,7 +82,9 @@ def test_particles_and_linearised_model_agree(order):
 
 
 def test_a_chain_in_the_plane_too():
-    arm = Body("arm", [Link("a", "s", "elbow", length=0.5, mass=1.0), Link("b", "e", "wrist", length=0.5, mass=1.0)])
+    arm = planar_body(
+        "arm", [Link("a", "s", "elbow", length=0.5, mass=1.0), Link("b", "e", "wrist", length=0.5, mass=1.0)]
+    )
     model = KinematicModel(arm.with_values(length=[0.4, 0.3]), np.arange(40) / 30, parameters={
         "walk.scale": 2.0, "emission.keypoint_scale": 0.005, "initial.velocity_scale": 0.5, "initial.angle_scale": 0.3,
     })  # fmt: skip

@@ -18,7 +18,7 @@ import torch
 
 from invdyn.inference import SMCOptions, infer, infer_states, pooled, prepare
 from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
-from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, load_body
+from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, load_body, planar_body
 from invdyn.models.bodies.mjcf_writer import write_mjcf
 from invdyn.models.linear_gaussian import LinearGaussian
 from invdyn.recordings import Recording, load
@@ -44,7 +44,7 @@ def arm(lengths=(0.35, 0.3), masses=(1.5, 1.0), tips=TIPS, joints=JOINTS, **opti
         Link(f"link{k}", joint, tip, length=length, mass=mass)
         for k, (joint, tip, length, mass) in enumerate(zip(joints, tips, lengths, masses, strict=True))
     ]
-    return Body("arm", links, **options)
+    return planar_body("arm", links, **options)
 
 
 ARM = arm()

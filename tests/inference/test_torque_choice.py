@@ -12,10 +12,19 @@ import torch
 
 from invdyn.inference import SMCOptions, compare, infer, pooled, prepare
 from invdyn.inference import task as task_module
-from invdyn.models import ArmModel, Body, Encoders, Link, Matern52, Observation, OrnsteinUhlenbeck, SmoothAndRough
+from invdyn.models import (
+    ArmModel,
+    Encoders,
+    Link,
+    Matern52,
+    Observation,
+    OrnsteinUhlenbeck,
+    SmoothAndRough,
+    planar_body,
+)
 from invdyn.recordings import Recording
 
-ARM = Body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
+ARM = planar_body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
 KNOWN = {"emission.angle_scale": 2e-5, "noise.angle": 1e-6, "noise.velocity": 1e-4, "initial.velocity_scale": 0.5}
 TIME = 0.01 * np.arange(150)
 SIZES = SMCOptions(num_filters=2, num_particles=20, num_draws=2)

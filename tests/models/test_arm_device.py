@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Matern32, Observation
+from invdyn.models import ArmModel, Encoders, Keypoints, Link, Matern32, Observation, planar_body
 from invdyn.models.effects import ActuatorLag, ViscousFriction
 
 ROWS = 8
@@ -15,7 +15,7 @@ def arm():
     links = [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6, com=0.1)]
     confidence = np.linspace(0.1, 1, 2 * ROWS).reshape(ROWS, 2)
     return ArmModel(
-        Body("arm", links),
+        planar_body("arm", links),
         0.02 * np.arange(ROWS),
         Observation(Keypoints([0, 1], confidence=confidence), Encoders()),
         torque=Matern32(),

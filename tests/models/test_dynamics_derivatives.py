@@ -4,7 +4,7 @@ import pytest
 import torch
 from chains import BOTH, F64, JOINTS, METHODS, assert_close, call, random_case
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 
 
 @JOINTS

@@ -7,7 +7,7 @@ from chains import F64, random_case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.planar import planar_dynamics
 
 cases = given(K=st.integers(1, 4), seed=st.integers(0, 10**6))

@@ -7,7 +7,7 @@ import pytest
 import torch
 from trees import mobile_arm, panda, paper_arm, random_tree
 
-from invdyn.models import Encoders, Joint, Keypoints, Observation, SpatialLink, Tree, dynamics_for
+from invdyn.models import Body, Encoders, Joint, Keypoints, Link, Observation, dynamics_for
 from invdyn.models.inverse_kinematics import beyond
 from invdyn.models.kinematics import AGILITY, joint_angle_candidates
 
@@ -17,12 +17,10 @@ STEADY = AGILITY.index(4.0)
 
 def ball_and_hinge():
     links = [
-        SpatialLink(
-            "upper", Joint("s", "ball"), length=0.3, tip="elbow", mass=2, inertia=(0.002, 0.015, 0.015, 0, 0, 0)
-        ),
-        SpatialLink("fore", Joint("e"), "upper", length=0.25, tip="wrist", mass=1.0),
+        Link("upper", Joint("s", "ball"), length=0.3, tip="elbow", mass=2, inertia=(0.002, 0.015, 0.015, 0, 0, 0)),
+        Link("fore", Joint("e"), parent="upper", length=0.25, tip="wrist", mass=1.0),
     ]
-    return Tree("ball and hinge", links)
+    return Body("ball and hinge", links)
 
 
 def swing(tree, steps=80, seed=1):

@@ -12,12 +12,12 @@ from trees import paper_arm
 from invdyn.inference import SMCOptions, run_filters
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Encoders, KinematicModel, Link, Observation, Pixels
+from invdyn.models import Encoders, KinematicModel, Link, Observation, Pixels, planar_body
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.state_space import UnknownParameter, gaussian_moments
 
 TIME = np.array([0.0, 0.1, 0.15, 0.4, 0.5, 0.62])
-ARM = Body("arm", [Link("a", "s", "t", length=0.3, mass=1.0), Link("b", "e", "u", length=0.2, mass=0.5)])
+ARM = planar_body("arm", [Link("a", "s", "t", length=0.3, mass=1.0), Link("b", "e", "u", length=0.2, mass=0.5)])
 
 
 def test_a_long_step_is_two_short_ones():

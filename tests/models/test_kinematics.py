@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, kinematics
+from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, kinematics, planar_body
 from invdyn.models.kinematics import AGILITY, smooth_angles
 
 
 def body(joints=2):
-    return Body("arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(joints)], base=(0.2, 0.1))
+    return planar_body(
+        "arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(joints)], base=(0.2, 0.1)
+    )
 
 
 def observed(angles, emission, noise=0.0, seed=0):

@@ -20,9 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.tree import Tree
-from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
@@ -53,7 +52,7 @@ class _Body(NamedTuple):
     ``is_plain``: no transform of torch.func wraps them.
     """
 
-    p: TreeParameters
+    p: Any
     structure: bytes
     batch: tuple[int, ...]
     is_plain: bool
@@ -73,14 +72,14 @@ class SpatialDynamics(Dynamics):
 
     space: ClassVar[int] = 3
 
-    def __init__(self, tree: Tree, compile_after: float = PAYS, rotors: bool = False):
+    def __init__(self, tree: Body, compile_after: float = PAYS, rotors: bool = False):
         self.tree, self.num_joints = tree, tree.num_joints
         self._nominal = self._numbers_of_tree()
         self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
         self._patterns: dict[bytes, list[np.ndarray]] = {}
         self._programs: dict[tuple, Program] = {}
         self._seen: _Body | None = None
-        self._known: dict[tuple, tuple[TreeParameters, list]] = {}
+        self._known: dict[tuple, tuple[Any, list]] = {}
         self._compiled, self._after = Compiled(compile_after) if is_there() else None, compile_after
         if not rotors:
             self._check_inertia()
@@ -106,23 +105,23 @@ class SpatialDynamics(Dynamics):
         """Number of operations of a method's program for one state of the tree as it stands."""
         return self._program(method, self._body(self._nominal).structure).operations
 
-    def inertia_matrix(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def inertia_matrix(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """D(q), kg·m² (kg for slides), (..., K, K)."""
         self._check(q=q)
         K = self.num_joints
         return self._evaluate("inertia_matrix", p, driven, q=q).unflatten(-1, (K, K))
 
-    def coriolis(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def coriolis(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """h(q, q̇), N·m or N, (..., K); with what a driven joint's motion asks for."""
         self._check(q=q, qd=qd)
         return self._evaluate("coriolis", p, driven, q=q, qd=qd)
 
-    def gravity_load(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def gravity_load(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """c(q) = ∂V/∂q, N·m or N, (..., K)."""
         self._check(q=q)
         return self._evaluate("gravity_load", p, driven, q=q)
 
-    def bias(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def bias(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """H + c, N·m or N, (..., K)."""
         self._check(q=q, qd=qd)
         return self._evaluate("bias", p, driven, q=q, qd=qd)
@@ -132,7 +131,7 @@ class SpatialDynamics(Dynamics):
         q: Tensor,
         qd: Tensor,
         tau: Tensor,
-        p: TreeParameters,
+        p: Any,
         own_inertia: Tensor | None = None,
         driven: Driven | None = None,
     ) -> Tensor:
@@ -144,7 +143,7 @@ class SpatialDynamics(Dynamics):
         self,
         q: Tensor,
         tau: Tensor,
-        p: TreeParameters,
+        p: Any,
         own_inertia: Tensor | None = None,
         driven: Driven | None = None,
     ) -> Tensor:
@@ -152,48 +151,48 @@ class SpatialDynamics(Dynamics):
         self._check(q=q, tau=tau)
         return self._evaluate("response", p, driven, q=q, tau=tau, own=own_inertia)
 
-    def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """τ = D q̈ + h + c, N·m or N, (..., K)."""
         self._check(q=q, qd=qd, qdd=qdd)
         return self._evaluate("inverse", p, driven, q=q, qd=qd, qdd=qdd)
 
-    def kinetic_energy(self, q: Tensor, qd: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def kinetic_energy(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """½ q̇ᵀ D q̇ (and what driven joints add), J, (...)."""
         self._check(q=q, qd=qd)
         return self._evaluate("kinetic_energy", p, driven, q=q, qd=qd).squeeze(-1)
 
-    def potential_energy(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def potential_energy(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """V(q) = −Σ m g·r of all that moves, J, zero at the world's origin, (...)."""
         self._check(q=q)
         return self._evaluate("potential_energy", p, driven, q=q).squeeze(-1)
 
-    def keypoints(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def keypoints(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """Positions of the S sites in the world's frame, m, (..., S, d)."""
         self._check(q=q)
         return self._evaluate("keypoints", p, driven, q=q).unflatten(-1, (len(self.tree.keypoint_names), self.space))
 
-    def jacobian(self, q: Tensor, p: TreeParameters, driven: Driven | None = None) -> Tensor:
+    def jacobian(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, d, K)."""
         self._check(q=q)
         shape = len(self.tree.keypoint_names), self.space, self.num_joints
         return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
 
-    def site_velocities(self, q: Tensor, qd: Tensor, p: TreeParameters) -> Tensor:
+    def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J q̇, m/s, (..., S, d)."""
         self._check(q=q, qd=qd)
         return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
 
-    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: TreeParameters) -> Tensor:
+    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """r̈ = J q̈ + J̇ q̇, m/s², (..., S, d)."""
         return super().site_accelerations(q, qd, qdd, p)
 
-    def _prepared(self, method: str, p: TreeParameters, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
+    def _prepared(self, method: str, p: Any, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
         """What was seen of the body, a method's program for it, and the body's own coefficients in that."""
         body = self._body(p)
         traced = self._program(method, body.structure, with_own)
         return body, traced, self._numbers((method, body.structure, with_own), traced, p)
 
-    def _evaluate(self, method: str, p: TreeParameters, driven: Driven | None, **given: Tensor | None) -> Tensor:
+    def _evaluate(self, method: str, p: Any, driven: Driven | None, **given: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
         joint = self._with_driven(driven, {name: value for name, value in given.items() if value is not None})
         body, traced, numbers = self._prepared(method, p, "own" in joint)
@@ -241,7 +240,7 @@ class SpatialDynamics(Dynamics):
             self._programs[key] = program(graph, TRACED[method](frames, state, own, self.space))
         return self._programs[key]
 
-    def _numbers(self, key: tuple, traced: Program, p: TreeParameters) -> list[Tensor]:
+    def _numbers(self, key: tuple, traced: Program, p: Any) -> list[Tensor]:
         """The body's own coefficients, computed once for all stages of a row while the same body comes.
 
         Those of a learned body are computed each time, as each backward pass needs them.
@@ -255,7 +254,7 @@ class SpatialDynamics(Dynamics):
                 self._known[key] = p, numbers
         return numbers
 
-    def _body(self, p: TreeParameters) -> "_Body":
+    def _body(self, p: Any) -> "_Body":
         """What was seen of p when it came first."""
         if self._seen is None or self._seen.p is not p:
             is_plain = not any(map(torch._C._functorch.is_functorch_wrapped_tensor, p))

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.inertia import PLACES
 from invdyn.models.bodies.rotations import onto
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.spatial.algebra import (
     NOTHING,
     UNIT,
@@ -136,7 +136,7 @@ class Frames:
         return found
 
 
-def frames_of(tree: Tree, entry: Entry, regrouped: bool = True) -> Frames:
+def frames_of(tree: Body, entry: Entry, regrouped: bool = True) -> Frames:
     """Return the frames of a tree, whose numbers `entry` gives; `regrouped` as at the top of this file."""
     frames: list[Frame] = []
     sites: list[tuple[int, Vector]] = []

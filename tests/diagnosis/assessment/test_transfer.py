@@ -17,7 +17,7 @@ from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import scores
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -110,7 +110,7 @@ def test_the_noise_of_another_recording_is_no_part_of_the_prediction():
 def test_the_noise_goes_with_its_keypoint():
     """Another recording may have its columns in another order, or a keypoint that the first one did not track."""
     links = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
-    body = Body("arm", links, gravity=(0.0, -9.81))
+    body = planar_body("arm", links, gravity=(0.0, -9.81))
     arm = random_arm(body, duration=1.0, fps=50, noise=0.002, torque_scale=0.5, commanded=True, seed=0)
     both = record(arm, 0)[0]
     reversed_points = replace(both, keypoints=both.keypoints[:, ::-1], keypoint_names=both.keypoint_names[::-1])

@@ -8,10 +8,10 @@ import torch
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.problem.unknowns import prior_sd
-from invdyn.models import ArmModel, Body, Link
+from invdyn.models import ArmModel, Link, planar_body
 from invdyn.models.effects import EFFECTS
 
-ARM = Body("arm", [Link(f"link{k}", f"joint{k}", f"tip{k}", 0.3, 1.5 - k) for k in range(2)])
+ARM = planar_body("arm", [Link(f"link{k}", f"joint{k}", f"tip{k}", 0.3, 1.5 - k) for k in range(2)])
 
 
 @pytest.fixture

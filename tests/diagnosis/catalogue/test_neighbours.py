@@ -13,7 +13,7 @@ from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.neighbours import neighbours, of_same_period
 from invdyn.diagnosis.catalogue.period_equivalents import factor
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models import Joint, SpatialLink, Tree
+from invdyn.models import Body, Joint, Link
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.inertias import inertia_of
 from invdyn.simulate import random_arm
@@ -69,8 +69,8 @@ def test_errors_that_are_a_load_begin_at_that_load(mass):
 @given(st.floats(0.01, 3.0))
 def test_in_space_too_by_weight_and_by_inertia(mass):
     """The exact load is an error of mass and com, and of the moments' mean, whatever its direction."""
-    link = SpatialLink("a", Joint("j"), mass=1.2, com=(0.1, 0.02, 0.0), inertia=MOMENTS, sites={"tip": AT})
-    body = Tree("hinge", [link])
+    link = Link("a", Joint("j"), mass=1.2, com=(0.1, 0.02, 0.0), inertia=MOMENTS, sites={"tip": AT})
+    body = Body("hinge", [link])
     mine = next(e for e in EFFECTS["inertial_error"].everywhere(body, ())).bound(body)
     payload = EFFECTS["payload"]().bound(body)
     own = inertia_of(body.parameters(), 0)

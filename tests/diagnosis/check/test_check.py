@@ -9,7 +9,7 @@ from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
 from invdyn.diagnosis.check.check import check
 from invdyn.inputs import read_logs
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import InputError, Recording, write_table
 from invdyn.simulate import random_arm, record
@@ -59,7 +59,7 @@ def test_of_mistakes_that_are_alike_the_one_without_a_number_comes_first():
     qdd = -0.8 * 2.1**2 * np.sin(2.1 * time) - 0.4 * 5.3**2 * np.sin(5.3 * time + 1)
     torque = 1.2 * 0.3**2 / 3 * qdd + 1.2 * 9.81 * 0.15 * np.cos(q)
     angles, torques = -q[:, None], -torque[:, None]
-    pendulum = Body("pendulum", [link], gravity=(0.0, -9.81))
+    pendulum = planar_body("pendulum", [link], gravity=(0.0, -9.81))
     log = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, torques=torques, joint_names=("base",))
     (wrong,) = check(log, pendulum, effects=False).mistakes
     assert wrong.kind == "direction"

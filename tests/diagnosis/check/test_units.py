@@ -12,7 +12,7 @@ from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.check.units import wrong_units
 from invdyn.inputs import read_logs
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.reading import Reading
 from invdyn.recordings.units import parse_units
@@ -88,7 +88,7 @@ def test_times_and_angles_that_are_both_wrong_are_both_named(log):
 
 def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against_it():
     """A rotor that turns a hundred times is no arm in degrees, if somebody says so and no torque contradicts it."""
-    rotor = Body("rotor", [Link("disc", "axle", "rim", 0.1, 1.0)], gravity=(0.0, 0.0))
+    rotor = planar_body("rotor", [Link("disc", "axle", "rim", 0.1, 1.0)], gravity=(0.0, 0.0))
     time = np.arange(0, 4, 0.01)
     turning = Recording(time, np.empty((len(time), 0, 2)), (), angles=150 * time[:, None], joint_names=("axle",))
     check_before(Reading(turning, parse_units("rad")), rotor)

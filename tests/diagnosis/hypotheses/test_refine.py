@@ -42,7 +42,7 @@ from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.sensitivities import Columns
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
 
@@ -282,7 +282,7 @@ def test_friction_that_is_not_there_costs_its_prior():
 
 def test_an_uncertain_body_is_fitted_too():
     mass = 1.04
-    body = Body("pendulum", [ROD], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
+    body = planar_body("pendulum", [ROD], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
     here = diagnosis_problem(recorded(DAMPING, mass=mass), body)
     cause = refine(here, (FRICTION,), {}, path_of(here), LOOSE)
     assert cause.names == ("viscous_friction.pivot.damping", "body.mass.0")
@@ -297,7 +297,7 @@ def test_an_uncertain_body_is_fitted_too():
 def test_a_written_inertia_is_known_no_better_than_the_mass():
     """Of a link that is heavier by 4 % than it is said to be, as a whole, nothing but its mass is to blame."""
     stated = Link("rod", "pivot", "tip", length=0.3, mass=1.0, com=0.15, inertia=0.0075)
-    body = Body("pendulum", [stated], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
+    body = planar_body("pendulum", [stated], gravity=PENDULUM.gravity, uncertainty={"mass": 0.05})
     mass, moment = uncertain_numbers(body)
     assert (mass.name, moment.name) == ("body.mass.0", "body.inertia.0")
     assert (moment.mean, moment.sd) == pytest.approx((0.0075, 0.05 * 0.0075))

@@ -9,10 +9,10 @@ from pendulum import ARM, PENDULUM
 
 from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, planar_body
 
 LINKS = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=x, mass=1.0) for k, x in enumerate((0.3, 0.25, 0.2))]
-LONG = Body("long", LINKS, base=(0.1, -0.2))
+LONG = planar_body("long", LINKS, base=(0.1, -0.2))
 ROWS, NOISE = 200, 0.002
 
 

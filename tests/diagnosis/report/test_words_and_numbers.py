@@ -18,7 +18,7 @@ from invdyn.diagnosis.report.numbers import (
     plain,
     plus_minus,
 )
-from invdyn.models import Body, Link, planar_dynamics
+from invdyn.models import Link, planar_body, planar_dynamics
 from invdyn.models.effects.scale import Scale
 
 
@@ -59,7 +59,7 @@ def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
 
 def test_a_softer_form_is_said_to_be_one():
     """By a parameter that the ideal form lacks."""
-    arm = Body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
+    arm = planar_body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
     scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))
     for entry in CATALOGUE.values():
         ideal = entry.effect.everywhere(arm, arm.keypoint_names)[0].bound(arm)

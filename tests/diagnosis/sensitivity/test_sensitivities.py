@@ -20,14 +20,14 @@ from invdyn.diagnosis.sensitivity import sensitivities as candidates
 from invdyn.diagnosis.sensitivity.latent_response import latent_response
 from invdyn.diagnosis.sensitivity.sensitivities import hypotheses, slopes, spacing, unchanged
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
 UPPER = Link("upper_arm", "shoulder", "elbow", length=0.3, mass=1.5)
-BODY = Body("arm", [UPPER, Link("forearm", "elbow", "wrist", length=0.25, mass=1.0)], gravity=(0.0, -9.81))
-UNSURE = Body("arm", BODY.links, BODY.gravity, uncertainty={"mass": 0.05, "length": 0.01})
+BODY = planar_body("arm", [UPPER, Link("forearm", "elbow", "wrist", length=0.25, mass=1.0)], gravity=(0.0, -9.81))
+UNSURE = planar_body("arm", BODY.links, BODY.gravity, uncertainty={"mass": 0.05, "length": 0.01})
 
 
 @cache

@@ -19,11 +19,11 @@ from invdyn.inference.execution.executors import open_executor
 from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.methods.registry import smc
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording
 
 TIME = 0.03 * np.arange(14)
-ARM = Body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
+ARM = planar_body("arm", [Link("rod", "shoulder", "elbow", length=0.4, mass=1.2)])
 KNOWN = {
     "torque.scale": 3.0,
     "torque.decay": 4.0,

@@ -12,7 +12,7 @@ from pyro.infer.smcfilter import SMCFailed
 from invdyn.inference import Controlled, ParticleFilter, gauss_newton, genealogy
 from invdyn.inference.filters import block_filter as room
 from invdyn.inference.filters.block_filter import BlockFilter
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.simulate import random_arm, record
 
 STEPS = 11
@@ -94,7 +94,7 @@ def test_paths_are_draws_from_the_posterior(chain, y, monkeypatch):
 
 def test_a_nonlinear_arm_as_controlled_smc():
     """Two links, filmed: same evidence as row by row, within the error of both."""
-    body = Body("arm", [Link("a", "p", "q", 0.3, 1.0), Link("b", "q", "r", 0.25, 0.8)], gravity=(0.0, -9.81))
+    body = planar_body("arm", [Link("a", "p", "q", 0.3, 1.0), Link("b", "q", "r", 0.25, 0.8)], gravity=(0.0, -9.81))
     arm = random_arm(body, duration=0.7, fps=50, noise=0.05, torque_scale=1.0, seed=4)
     noise = {"emission.keypoint_scale": 0.05, "noise.angle": 1e-3, "noise.velocity": 1e-2}
     arm = arm.replace(**{name: torch.full((2,), value).double() for name, value in noise.items()})

@@ -7,7 +7,7 @@ import torch
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter
 from invdyn.inference.filters.column_layout import by_columns, recorded, stored_by_columns
 from invdyn.inference.filters.particles import take
-from invdyn.models import ArmModel, Body, Keypoints, Link, Matern32, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Matern32, Observation, planar_body
 from invdyn.models.effects import CoulombFriction, Outliers, SoftTissue, ViscousFriction
 from invdyn.models.shapes import by_column, stacked
 
@@ -17,7 +17,7 @@ STEPS, M, N = 6, 3, 7
 def arm(effects=(), tips=(0, 1), family="gaussian", joints=2, **options):
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", 0.4, 1.0) for k in range(joints)]
     model = ArmModel(
-        Body("arm", links), 0.02 * torch.arange(STEPS), Observation(Keypoints(tips), family=family), **options
+        planar_body("arm", links), 0.02 * torch.arange(STEPS), Observation(Keypoints(tips), family=family), **options
     )
     return model.with_effects(*effects)
 

@@ -25,7 +25,7 @@ from invdyn.inference.filters.bridge import Bridge
 from invdyn.inference.mcmc.particle_gibbs import first_paths, move_blocks, sweep
 from invdyn.inference.methods.particle_gibbs import particle_gibbs
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording
 
 STEPS = 16
@@ -125,7 +125,7 @@ def test_blocks_move_and_leave_the_posterior_as_it_is():
 # -- arms --------------------------------------------------------------------------------------------
 def arm(steps=12):
     """A pendulum whose torque is unknown."""
-    body = Body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=1.0)])
+    body = planar_body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=1.0)])
     time = 0.05 * np.arange(steps)
     angle = -1.2 + 0.5 * np.sin(4 * time)
     tips = 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)[:, None]
@@ -209,7 +209,7 @@ def test_chains_are_the_same_wherever_they_run_and_are_kept(tmp_path):
 def test_what_it_cannot_do_is_refused(change, message):
     given: Problem = arm()
     if "mass" in change:
-        body = Body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=change["mass"])])
+        body = planar_body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=change["mass"])])
         given = arm_problem(given.recording, body)
     with pytest.raises(InputError, match=message):
         particle_gibbs(given, options=SMCOptions(4, change.get("particles", 5), 2))

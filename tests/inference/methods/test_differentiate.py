@@ -9,12 +9,12 @@ import torch
 from invdyn.inference import arm_problem
 from invdyn.inference.methods.differentiate import derivatives, joint_angles, winter_cutoff
 from invdyn.inference.methods.registry import differentiate
-from invdyn.models import Body, Keypoints, Link, Observation, planar_dynamics
+from invdyn.models import Keypoints, Link, Observation, planar_body, planar_dynamics
 from invdyn.recordings import InputError, Recording
 
 T = 200
 TIME = 0.01 * np.arange(T)
-ARM = Body(
+ARM = planar_body(
     "arm",
     [Link("l0", "shoulder", "elbow", length=0.35, mass=1.5), Link("l1", "elbow", "wrist", length=0.3, mass=1.0)],
 )

@@ -6,7 +6,7 @@ from grids import grid_posterior
 from one_state import Counts, Growth, Multiplicative
 
 from invdyn.inference import SMCOptions, infer, infer_states, pooled
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording
 
 
@@ -24,13 +24,13 @@ KNOWN = {"torque.scale": 4.0, "torque.decay": 5.0, "emission.keypoint_scale": 0.
 @pytest.mark.long
 def test_an_uncertain_body_is_integrated_out():
     link = {"joint": "shoulder", "tip": "elbow", "length": 0.5, "mass": 2.0}
-    arm = Body("arm", [Link("l", **link)], uncertainty={"mass": 0.3})
+    arm = planar_body("arm", [Link("l", **link)], uncertainty={"mass": 0.3})
     sizes = {"num_filters": 20, "num_draws": 50, "settings": KNOWN, "seed": 1}
     idata = infer(record(), arm, method="laplace", **sizes)
     assert idata["posterior"].sizes["chain"] == 20  # of 50 draws each
     assert len(np.unique(idata["posterior"]["mass"])) == 16
     assert len(np.unique(idata["sample_stats"]["log_evidence"])) == 16
-    fixed = infer(record(), Body("arm", [Link("l", **link)]), method="laplace", **sizes)
+    fixed = infer(record(), planar_body("arm", [Link("l", **link)]), method="laplace", **sizes)
     wide, narrow = (pooled(i)["torque"].std("sample").mean().item() for i in (idata, fixed))
     assert wide > 1.1 * narrow
     with pytest.raises(InputError, match="nuts takes the body as known"):
@@ -41,7 +41,7 @@ def test_an_uncertain_body_is_integrated_out():
 
 
 def test_draws_are_as_many_as_requested():
-    arm = Body("arm", [Link("l", "shoulder", "elbow", length=0.5, mass=2.0)])
+    arm = planar_body("arm", [Link("l", "shoulder", "elbow", length=0.5, mass=2.0)])
     idata = infer(record(), arm, method="laplace", num_filters=3, num_draws=5, settings=KNOWN)
     assert idata["posterior"]["torque"].shape == (3, 5, 15, 1)
     assert SMCOptions().num_filters * SMCOptions().num_draws == 256

@@ -15,7 +15,7 @@ from invdyn.inference.fitting.marginal_likelihood import LogParameters
 from invdyn.inference.methods.variational_smc import vsmc
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.parameter_guide import SITE, Uncertain
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import Recording
 
 T = 30
@@ -30,7 +30,7 @@ def linear_arm():
     recording = Recording(
         time=TIME, keypoints=np.zeros((T, 0, 2)), keypoint_names=(), angles=angle, joint_names=("pivot",)
     )
-    body = Body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=1.0)], gravity=(0.0, 0.0))
+    body = planar_body("arm", [Link("rod", "pivot", "tip", length=0.5, mass=1.0)], gravity=(0.0, 0.0))
     known = {"torque.scale": 1.0, "emission.angle_scale": 0.01, "noise.velocity": 0.05, "noise.angle": 0.005}
     return arm_problem(recording, body, parameters=known, substeps=1)
 

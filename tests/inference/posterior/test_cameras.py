@@ -17,7 +17,7 @@ from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.task import free_parameters
-from invdyn.models import ArmModel, Joint, Keypoints, Learned, Observation, SpatialLink, Tree
+from invdyn.models import ArmModel, Body, Joint, Keypoints, Learned, Link, Observation
 from invdyn.models.observation import pinhole as in_torch
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Calibration, Views, filmed, project
@@ -31,7 +31,7 @@ KNOWN |= {"emission.bias_time": 0.3, "initial.angle_scale": 0.5}
 def rod(length=0.4):
     """A stick that hangs before the cameras, and its tip."""
     inertia = (0.01, 0.02, 0.02, 0.0, 0.0, 0.0)
-    link = SpatialLink(
+    link = Link(
         "rod",
         Joint("pivot", "universal"),
         origin=(0.0, 0.0, 1.0),
@@ -41,7 +41,7 @@ def rod(length=0.4):
         mass=1.0,
         inertia=inertia,
     )
-    return Tree("rod", [link])
+    return Body("rod", [link])
 
 
 def views_of(calibration, offsets=(), seed=0):

@@ -9,7 +9,7 @@ from trees import paper_arm
 
 from invdyn.inference import METHODS, SMCOptions, arm_problem, infer
 from invdyn.inference.posterior.charts import chosen, frame_for, pitches, poles
-from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
+from invdyn.models import Body, Joint, Link, dynamics_for
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.recordings import Recording
 from invdyn.summary import summary_text
@@ -33,12 +33,12 @@ def hanging(tree, seed=0):
 
 def ball_and_hinge():
     links = [
-        SpatialLink("upper", Joint("shoulder", "ball"), length=0.6, tip="elbow", mass=2.0, inertia=ROD),
-        SpatialLink(
-            "fore", Joint("elbow", axis=(0.0, 1.0, 0.0)), "upper", length=0.5, tip="wrist", mass=1.0, inertia=ROD
+        Link("upper", Joint("shoulder", "ball"), length=0.6, tip="elbow", mass=2.0, inertia=ROD),
+        Link(
+            "fore", Joint("elbow", axis=(0.0, 1.0, 0.0)), parent="upper", length=0.5, tip="wrist", mass=1.0, inertia=ROD
         ),
     ]
-    return Tree("ball and hinge", links)
+    return Body("ball and hinge", links)
 
 
 @pytest.mark.parametrize("tree", [paper_arm(), ball_and_hinge()], ids=lambda tree: tree.name)
@@ -91,10 +91,10 @@ def test_a_motion_far_from_the_pole_keeps_the_files_frame():
 def test_a_mechanism_stays_the_mechanism_it_is():
     """A hinge on a stick's end makes its twist count, and so does a weight beside its axis."""
     steep = np.tile([0.0, 1.5, 0.2], (5, 1))
-    upper = SpatialLink("upper", Joint("shoulder", "universal"), length=0.6, tip="elbow", mass=2.0)
-    fore = SpatialLink("fore", Joint("elbow"), "upper", length=0.5, tip="wrist", mass=1.0)
+    upper = Link("upper", Joint("shoulder", "universal"), length=0.6, tip="elbow", mass=2.0)
+    fore = Link("fore", Joint("elbow"), parent="upper", length=0.5, tip="wrist", mass=1.0)
     for links in ([upper, fore], [replace(upper, com=(0.3, 0.02, 0.0), inertia=ROD), fore]):
-        tree = Tree("arm", links)
+        tree = Body("arm", links)
         assert chosen(tree, lambda _: steep) == (tree, [])
 
 

@@ -11,7 +11,7 @@ from invdyn.inference.posterior import gap_branches
 from invdyn.inference.posterior.gap_branches import differs_in_turns, gaps, most_probable_turns
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.simulate import random_arm, record
 from invdyn.summary import summary_text
 
@@ -23,7 +23,7 @@ def body():
         Link("upper", "shoulder", "elbow", length=0.3, mass=0.56),
         Link("fore", "elbow", "wrist", length=0.2, mass=0.6),
     ]
-    return Body("arm", links, gravity=(0.0, -9.81))
+    return planar_body("arm", links, gravity=(0.0, -9.81))
 
 
 def recorded(seed, torque=0.15, gap=GAP):

@@ -8,7 +8,7 @@ import torch
 
 from invdyn.inference import infer
 from invdyn.inference.posterior.initialise import SUBSTEPS, arm_problem, confidence_drop, sufficient_substeps
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.simulate import random_arm, record
 
@@ -21,7 +21,7 @@ UNIX = 1_700_000_000.0
 def test_as_many_substeps_as_are_needed_and_no_more(integrator, speed):
     """Their error, to twice as many, is a tenth of what can be noticed at most, and that of fewer ones is not."""
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=0.3, mass=1.0) for k in range(2)]
-    body = Body("arm", links, gravity=(0.0, -9.81))
+    body = planar_body("arm", links, gravity=(0.0, -9.81))
     time = 0.02 * torch.arange(100, dtype=torch.float64)
     parameters = {"emission.keypoint_scale": 0.002, "noise.angle": 1e-4}
     model = ArmModel(body, time.numpy(), Observation(Keypoints([0, 1])), integrator=integrator, parameters=parameters)
@@ -64,7 +64,7 @@ def test_points_far_off_at_a_low_confidence_start_as_outliers():
 
 def test_a_models_times_count_from_the_first_row():
     """A recording that is stamped in seconds since 1970 gives the same posterior, at its own times."""
-    body = Body("arm", [Link("rod", "pivot", "tip", length=0.3, mass=1.0)], gravity=(0.0, -9.81))
+    body = planar_body("arm", [Link("rod", "pivot", "tip", length=0.3, mass=1.0)], gravity=(0.0, -9.81))
     recording, truth = record(random_arm(body, duration=1.0, fps=40, commanded=True, seed=1), 1)
     stamped, known = (replace(each, time=each.time + UNIX) for each in (recording, truth))
     problem = arm_problem(stamped, body, truth=known)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from invdyn.inference import infer, load_posterior, mechanics, save_posterior
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.recordings import Recording
 
-BODY = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("lower", "elbow", "wrist", 0.25, 1.0)])
+BODY = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("lower", "elbow", "wrist", 0.25, 1.0)])
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_energy_and_power_are_those_of_the_velocities(posterior):
 
 @pytest.mark.long
 def test_an_uncertain_body_counts_draw_by_draw(recording, tmp_path):
-    body = Body("arm", BODY.links, uncertainty={"mass": 0.2})
+    body = planar_body("arm", BODY.links, uncertainty={"mass": 0.2})
     idata = infer(recording, body, num_filters=6, num_particles=20, num_draws=2)
     draws = idata["posterior"]
     assert draws["mass"].dims == ("chain", "draw", "link")

@@ -20,7 +20,7 @@ from invdyn.inference import (
     summarise,
 )
 from invdyn.inference.posterior.posterior import combine, to_inference_data
-from invdyn.models import Body, Link
+from invdyn.models import Link, planar_body
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -33,7 +33,7 @@ JOINTS = ("shoulder", "elbow")
 def make(*, encoders=True, command=True, truth=True, length_unit="m"):
     """A problem, paths and a filter's numbers, without any inference."""
     rng = np.random.default_rng(0)
-    body = Body("arm", [Link(f"l{k}", JOINTS[k], ("elbow", "wrist")[k], length=0.3, mass=1.0) for k in range(K)])
+    body = planar_body("arm", [Link(f"l{k}", JOINTS[k], ("elbow", "wrist")[k], length=0.3, mass=1.0) for k in range(K)])
     keypoints = rng.normal(size=(T, 2, 2))
     keypoints[3, 1] = np.nan
     recording = Recording(

@@ -8,7 +8,7 @@ from scenes import looking, ring
 from invdyn.inference import METHODS, SMCOptions, arm_problem
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.visibility import unseen_lines, visibility
-from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, SpatialLink, Tree, dynamics_for
+from invdyn.models import ArmModel, Body, Encoders, Joint, Keypoints, Link, Observation, Pixels, dynamics_for
 from invdyn.recordings import Recording
 from invdyn.recordings.cameras import Calibration
 from invdyn.summary import summary_text
@@ -20,15 +20,15 @@ def arm(last="hinge"):
     """A ball shoulder, and an elbow that bends about z; or a wrist that turns too."""
     inertia = (0.002, 0.015, 0.015, 0, 0, 0)
     links = [
-        SpatialLink("upper", Joint("shoulder", "ball"), length=0.3, tip="elbow", mass=2.0, inertia=inertia),
-        SpatialLink("fore", Joint("elbow"), "upper", length=0.25, tip="wrist", mass=1.0, inertia=inertia),
+        Link("upper", Joint("shoulder", "ball"), length=0.3, tip="elbow", mass=2.0, inertia=inertia),
+        Link("fore", Joint("elbow"), parent="upper", length=0.25, tip="wrist", mass=1.0, inertia=inertia),
     ]
     if last == "roll":
         axis = (1.0, 0.0, 0.0)
         links.append(
-            SpatialLink("hand", Joint("pronation", axis=axis), "fore", mass=0.3, com=(0.05, 0, 0), inertia=inertia)
+            Link("hand", Joint("pronation", axis=axis), parent="fore", mass=0.3, com=(0.05, 0, 0), inertia=inertia)
         )
-    return Tree("arm", links)
+    return Body("arm", links)
 
 
 def model(tree, *sensors, steps=1):
@@ -95,7 +95,7 @@ def test_what_lasts_of_a_trackers_error_hides_what_it_drowns():
 
 def test_one_camera_does_not_see_what_moves_along_its_line_of_sight():
     """From 3 m it sees a tip that points at it move sideways, but not where the line touches the tip's circle."""
-    hinge = Tree("hinge", [SpatialLink("a", Joint("j"), length=0.3, tip="wrist", mass=1.0)])
+    hinge = Body("hinge", [Link("a", Joint("j"), length=0.3, tip="wrist", mass=1.0)])
     own = before(looking("level", (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), tree=hinge, sites=("wrist",))
     at = torch.tensor([[0.0], [np.arccos(0.3 / 3.0)]], dtype=torch.float64)
     _, unseen = visibility(own, torch.zeros(2, 2), at)

@@ -7,7 +7,7 @@ from oracles import kalman, random_chain, rts, with_gaps
 
 from invdyn.inference import GaussianChain, gauss_newton, posterior_linearisation
 from invdyn.inference.smoothing.gaussian_chain import accumulate, composed
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 
 T = 9
 
@@ -21,7 +21,7 @@ def smoother_of(seed=0):
 
 def arm_smoother():
     """Bent enough that the linearisation over the posterior has an error of its own (scatter)."""
-    body = Body("arm", [Link("l", "shoulder", "elbow", length=1.0, mass=1.0)])
+    body = planar_body("arm", [Link("l", "shoulder", "elbow", length=1.0, mass=1.0)])
     values = {"emission.keypoint_scale": 0.3, "noise.angle": 0.1, "noise.velocity": 0.3}
     model = ArmModel(body, 0.05 * np.arange(T), Observation(Keypoints([0])), parameters=values)
     torch.manual_seed(3)

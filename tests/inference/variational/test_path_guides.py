@@ -14,7 +14,7 @@ from invdyn.inference.methods.svi import GUIDES
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 
 T = 8
 
@@ -28,7 +28,7 @@ def linear(seed=0, steps=T, gaps=False):
 
 def arm(steps=T):
     links = [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(2)]
-    model = ArmModel(Body("arm", links), 0.03 * np.arange(steps), Observation(Keypoints([0, 1])))
+    model = ArmModel(planar_body("arm", links), 0.03 * np.arange(steps), Observation(Keypoints([0, 1])))
     torch.manual_seed(0)
     _, y = model.simulate()
     y[2, :2] = torch.nan

@@ -15,7 +15,7 @@ from torch.distributions import constraints
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter, gauss_newton
 from invdyn.inference.variational.affine import Affine, Corrected, jacobian
 from invdyn.inference.variational.vsmc import VSMC_ELBO
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation, StateSpaceModel
+from invdyn.models import ArmModel, Keypoints, Link, Observation, StateSpaceModel, planar_body
 
 
 def published():
@@ -117,7 +117,7 @@ def test_loss_is_the_filters_evidence_for_any_gradient(gradient):
 def arm(steps=20):
     """A short film of a planar arm without a command."""
     links = [Link("upper", "shoulder", "elbow", 1.0, 0.5), Link("fore", "elbow", "wrist", 1.0, 0.3)]
-    body = Body("arm", links, gravity=(0.0, -1.0))
+    body = planar_body("arm", links, gravity=(0.0, -1.0))
     model = ArmModel(body, 0.03 * np.arange(steps), Observation(Keypoints(range(2))), integrator="euler")
     torch.manual_seed(3)
     return model, model.simulate()[1]

@@ -9,14 +9,14 @@ import pytest
 import torch
 from pyro import poutine
 
-from invdyn.models import ArmModel, Body, Keypoints, Learned, Link, Observation, OrnsteinUhlenbeck, RandomWalk
+from invdyn.models import ArmModel, Keypoints, Learned, Link, Observation, OrnsteinUhlenbeck, RandomWalk, planar_body
 from invdyn.models.articulated.defaults import WrongValue
 
 F64 = torch.float64
 
 
 def two_links(**scalars):
-    return Body(
+    return planar_body(
         "arm",
         [
             Link("upper", "shoulder", "elbow", **{"length": 1.0, "mass": 0.5, **scalars}),
@@ -128,7 +128,7 @@ def test_substeps_approach_a_fine_integration():
 
 def test_the_torque_moves_on_a_straight_line_within_a_step():
     """A body without gravity that a ramp of torque turns: θ̇ gains the ramp's mean, θ its double integral."""
-    rod = Body("rod", [Link("rod", "pivot", "end", length=1.0, mass=3.0)], gravity=(0, 0))  # inertia 1
+    rod = planar_body("rod", [Link("rod", "pivot", "end", length=1.0, mass=3.0)], gravity=(0, 0))  # inertia 1
     model = ArmModel(rod, [0.0, 0.5], torque=OrnsteinUhlenbeck("wiener", decay=0.8))
     start, end = 2.0, 2.0 * (1 - 0.8 * 0.5)
     found = model.transition(torch.tensor([start, 0.0, 0.0], dtype=F64), 1).mean
@@ -240,7 +240,7 @@ def test_parameters_take_a_number_or_one_for_each_joint():
 # -- several recordings one after another ----------------------------------------------------------
 def test_where_an_arm_starts_anew_nothing_follows_from_before():
     """Two recordings as one: the density is the product of theirs, the second's first row drawn about its angle."""
-    body = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("fore", "elbow", "wrist", 0.25, 0.8)])
+    body = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("fore", "elbow", "wrist", 0.25, 0.8)])
     time, angle = 0.02 * np.arange(9), torch.tensor([[0.4, -0.2]], dtype=torch.float64)
     whole = ArmModel(body, time, Observation(Keypoints([0, 1]))).starting_anew([5], angle)
     first, second = (ArmModel(body, time[rows], Observation(Keypoints([0, 1]))) for rows in (slice(0, 5), slice(5, 9)))

@@ -17,15 +17,13 @@ from invdyn.models import (
     Learned,
     Link,
     Observation,
-    SpatialLink,
-    Tree,
+    planar_body,
 )
-from invdyn.models.bodies.in_space import tree_of
 from invdyn.models.bodies.scalars import prior
 from invdyn.models.effects import Armature, CoulombFriction, ExternalPush, JointStiffness, Payload, ViscousFriction
 
 F64 = torch.float64
-ARM = Body("arm", [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)])
+ARM = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.4, 1.0), Link("fore", "elbow", "wrist", 0.3, 0.6)])
 TIME = 0.02 * np.arange(12)
 GIVEN = {"initial.angle": [-1.4, 0.3], "initial.angle_scale": 0.3, "initial.velocity_scale": 2.0}
 
@@ -38,8 +36,8 @@ def model_of(body, **options):
 @pytest.fixture
 def both():
     assert isinstance(ARM, ArticulatedBody)
-    assert isinstance(tree_of(ARM), ArticulatedBody)
-    return model_of(ARM), model_of(tree_of(ARM))
+    assert isinstance(ARM.in_space(), ArticulatedBody)
+    return model_of(ARM), model_of(ARM.in_space())
 
 
 def test_scales_are_the_same(both):
@@ -84,13 +82,11 @@ def test_driven_joints_are_refused_in_one_line():
 
 
 def stick_arm(**upper):
-    return Tree(
+    return Body(
         "sticks",
         [
-            SpatialLink(
-                "upper", Joint("shoulder", "universal"), **{"length": 0.4, "tip": "elbow", "mass": 1.0} | upper
-            ),
-            SpatialLink("fore", Joint("elbow"), "upper", mass=0.6, com=(0.1, 0, 0), sites={"wrist": (0.3, 0, 0)}),
+            Link("upper", Joint("shoulder", "universal"), **{"length": 0.4, "tip": "elbow", "mass": 1.0} | upper),
+            Link("fore", Joint("elbow"), parent="upper", mass=0.6, com=(0.1, 0, 0), sites={"wrist": (0.3, 0, 0)}),
         ],
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Link
+from invdyn.models import ArmModel, Body, Link, planar_body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.effects.actuator_gain import ActuatorGain
@@ -154,7 +154,7 @@ def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
 def test_a_servos_limit_cuts_what_was_told_alone():
     """Told 5 N·m of which it gives 1, beside 2 N·m that nobody told it."""
     servo = JointParts(motor=Motor("position", gain=60.0, stiffness=60.0, low=-1.0, high=1.0))
-    body = Body("arm", [Link("rod", "joint", "tip", 1.0, 1.0, parts=servo)], gravity=(0.0, 0.0))
+    body = planar_body("arm", [Link("rod", "joint", "tip", 1.0, 1.0, parts=servo)], gravity=(0.0, 0.0))
     model = ArmModel(body, np.arange(3) * 1e-3, command=np.full((3, 1), 5.0))
     after = model.transition_mean(torch.tensor([2.0, 0.0, 0.0], dtype=torch.float64), 1)
     assert float(after[-1]) == pytest.approx((1 + 2) * 3 * 1e-3, rel=0.01)  # of an inertia of a third
@@ -165,7 +165,7 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     """Two rows ahead it has answered several times; a tenth of a row back is still third order."""
     servo = JointParts(motor=Motor("position", gain=60.0, stiffness=60.0, damping=2.0))
     upper, fore = Link("upper", "shoulder", "elbow", 0.3, 1.2, parts=servo), Link("fore", "elbow", "wrist", 0.25, 0.8)
-    body = Body("arm", [upper, fore], gravity=(0.0, -9.81))
+    body = planar_body("arm", [upper, fore], gravity=(0.0, -9.81))
     command = torch.randn(8, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     model = ArmModel(body, np.arange(8) * 0.02, command=command.numpy(), substeps=10).to(dtype)
     state = torch.zeros(model.state_dim, dtype=dtype)

@@ -59,10 +59,16 @@ BAD_FILES = {
     "blank name": (ARM.replace('"upper_arm"', '" "'), "name of a link: expected a text that is not blank"),
     "link name twice": (
         LINK.format("a", "b", "c") + LINK.format("a", "c", "d"),
-        "a name of its own.*'a' twice",
+        "names of their own.*links.*'a' twice",
     ),
-    "tip twice": (LINK.format("a", "b", "c") + LINK.format("e", "f", "c"), "a tip of its own.*'c' twice"),
-    "joint twice": (LINK.format("a", "b", "c") + LINK.format("e", "b", "d"), "a joint of its own.*'b' twice"),
+    "tip twice": (
+        LINK.format("a", "b", "c") + LINK.format("e", "f", "c"),
+        "names of their own.*sites.*'c' twice",
+    ),
+    "joint twice": (
+        LINK.format("a", "b", "c") + LINK.format("e", "b", "d"),
+        "names of their own.*joints.*'b' twice",
+    ),
     "tip called as the base": (LINK.format("a", "b", "b"), "'b' is the tip of one link but the joint"),
     "unknown uncertainty": (ARM + "masss = 0.1\n", "uncertainty: unknown key 'masss'.*'mass'"),
     "negative uncertainty": (ARM.replace("0.05", "-0.05"), "relative standard deviations of 0, or from"),

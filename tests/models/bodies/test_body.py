@@ -10,14 +10,14 @@ import pytest
 import torch
 from bench_arm import ARM
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.body import Body, planar_body
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.scalars import BodyError, Learned
 
 
 def arm(**upper):
     upper = {"length": 0.3, "mass": 1.5} | upper
-    return Body(
+    return planar_body(
         "arm",
         [
             Link("upper_arm", "shoulder", "elbow", **upper),
@@ -53,7 +53,7 @@ def test_gravity_base_and_name_have_defaults(write):
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    body = Body(
+    body = planar_body(
         'an "arm" ☂',
         [
             Link("a", "shoulder", "elbow", 0.1 + 0.2, Learned(1.5), com=-0.1, inertia=0.0),
@@ -195,7 +195,7 @@ def test_learned_scalars_are_pyro_parameters():
 
 
 def test_uncertainty_becomes_priors_around_the_nominal_values():
-    body = Body("arm", arm().links, uncertainty={"mass": 0.05, "com": 0.1, "length": 0.0})
+    body = planar_body("arm", arm().links, uncertainty={"mass": 0.05, "com": 0.1, "length": 0.0})
     uncertain = body.with_uncertainty()
     assert uncertain.uncertainty == {}
     assert [link.length for link in uncertain.links] == [0.3, 0.25]
@@ -208,7 +208,7 @@ def test_uncertainty_becomes_priors_around_the_nominal_values():
     assert arm(mass=own).with_uncertainty().links[0].mass is own
     assert arm(mass=Learned(1.0)).with_uncertainty().links[0].mass == Learned(1.0)
     with pytest.raises(BodyError, match="com is 0"):
-        Body("arm", arm(com=0.0).links, uncertainty={"com": 0.1}).with_uncertainty()
+        planar_body("arm", arm(com=0.0).links, uncertainty={"com": 0.1}).with_uncertainty()
 
 
 @pytest.mark.parametrize(

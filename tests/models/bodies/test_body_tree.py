@@ -7,8 +7,7 @@ import pytest
 import torch
 from robot_files import random_mjcf, random_urdf
 
-from invdyn.models import Body, BodyError, Tree
-from invdyn.models.bodies import in_space
+from invdyn.models import Body, BodyError
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 ALIKE = {"rtol": 1e-9, "atol": 1e-9}
@@ -19,7 +18,7 @@ def read(text, path, kind=None):
     path.write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return in_space.load_body(path) if kind is None else kind(path)
+        return Body.load(path) if kind is None else kind(path, dimensions=3)
 
 
 def tensors(*arrays):
@@ -51,7 +50,7 @@ class InMuJoCo:
 @pytest.mark.parametrize("seed", range(12))
 def test_a_random_mjcf_moves_as_in_mujoco(seed, tmp_path):
     text = random_mjcf(seed)
-    tree = read(text, tmp_path / "arm.xml", Tree.from_mjcf)
+    tree = read(text, tmp_path / "arm.xml", Body.from_mjcf)
     peer, dynamics, p = InMuJoCo(text, tree.joint_names), SpatialDynamics(tree), tree.parameters()
     assert tree.num_joints == peer.model.nv
     assert set(tree.keypoint_names) == {f"s{body}" for body in range(7) if _moves(peer.model, f"b{body}")}
@@ -72,7 +71,7 @@ def _moves(model, body):
 def test_a_random_urdf_moves_as_in_pinocchio(seed, tmp_path):
     pin = pytest.importorskip("pinocchio")
     text = random_urdf(seed)
-    tree = read(text, tmp_path / "arm.urdf", Tree.from_urdf)
+    tree = read(text, tmp_path / "arm.urdf", Body.from_urdf)
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     data, K = model.createData(), tree.num_joints
     order = [model.idx_vs[model.getJointId(name)] for name in tree.joint_names]
@@ -111,7 +110,7 @@ GRIPPER = """<mujoco model="gripper"><compiler angle="radian"/><option density="
 def test_a_file_with_classes_and_all_that_a_rigid_tree_lacks(tmp_path):
     (tmp_path / "arm.xml").write_text(GRIPPER)
     with pytest.warns(UserWarning, match="leave out") as told:
-        tree = in_space.load_body(tmp_path / "arm.xml")
+        tree = Body.load(tmp_path / "arm.xml")
     (line,) = [str(each.message) for each in told]
     for words in (
         "limits (pan, lift, left_slide, right_slide)",
@@ -129,7 +128,7 @@ def test_a_file_with_classes_and_all_that_a_rigid_tree_lacks(tmp_path):
     assert (tree.joint_parts[1].servo.gain, tree.joint_parts[1].servo.high) == (4500.0, 87.0)
     assert tree.hand == (1, 0)  # what the fingers hang on
     tree.to_toml(tmp_path / "arm.toml")
-    assert in_space.load_body(tmp_path / "arm.toml").joint_parts == tree.joint_parts
+    assert Body.load(tmp_path / "arm.toml").joint_parts == tree.joint_parts
     boom = tree.links[1]
     assert boom.mass == pytest.approx(1.3)  # with the hand that is fixed to it
     assert boom.rotation == ((1, 0, 0), (0, 0, -1), (0, 1, 0))  # exact: structural zeros make the dynamics short
@@ -143,15 +142,15 @@ def test_which_files_are_planar(tmp_path):
         f'<mujoco><worldbody><body name="a">{hinge.format("one", "0 0 1")}{inner}{{more}}</body></worldbody></mujoco>'
     )
     path = tmp_path / "arm.xml"
-    assert isinstance(read(file.format(axis="0 0 -1", more=""), path), Body)
+    assert read(file.format(axis="0 0 -1", more=""), path).is_chain
     branch = f'<body name="c">{hinge.format("three", "0 0 1")}</body>'
     for axis, more in (("0 1 0", ""), ("0 1 1", ""), ("0 0 1", branch)):
-        assert isinstance(read(file.format(axis=axis, more=more), path), Tree)
+        assert not read(file.format(axis=axis, more=more), path).is_chain
     slide = file.format(axis='1 0 0" type="slide', more="")
     assert read(slide, path).joint_names == ("one", "two")
     with pytest.raises(BodyError, match="of type slide"):
-        Body.from_mjcf(path)
-    assert isinstance(read(file.format(axis="0 0 1", more=""), path, Tree.from_mjcf), Tree)
+        Body.from_mjcf(path, dimensions=2)
+    assert not read(file.format(axis="0 0 1", more=""), path, Body.from_mjcf).is_chain
 
 
 def test_points_without_sites_are_the_frames(tmp_path):
@@ -161,7 +160,7 @@ def test_points_without_sites_are_the_frames(tmp_path):
         <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="camera"/>
       <joint name="j" type="continuous"><parent link="world"/><child link="arm"/><origin xyz="0 0 1"/></joint>
       <joint name="f" type="fixed"><parent link="arm"/><child link="camera"/><origin xyz=".4 0 .1"/></joint></robot>"""
-    tree = read(robot, tmp_path / "arm.urdf", Tree.from_urdf)
+    tree = read(robot, tmp_path / "arm.urdf", Body.from_urdf)
     assert tree.keypoint_names == ("arm", "camera")
     np.testing.assert_allclose(tree.parameters().sites, [[0, 0, 0], [0.4, 0, 0.1]])
 

@@ -42,7 +42,7 @@ def written(text, path):
 
 
 def read(text, tmp_path):
-    return Body.load(written(text, tmp_path / "arm.urdf"))
+    return Body.load(written(text, tmp_path / "arm.urdf"), dimensions=2)
 
 
 def still(robot):
@@ -195,6 +195,6 @@ def test_a_turning_base_is_the_odd_one(tmp_path):
 
 def test_files_of_another_kind(tmp_path):
     with pytest.raises(BodyError, match="<robot> around it, got <mujoco>"):
-        Body.from_urdf(written("<mujoco/>", tmp_path / "arm.urdf"))
+        Body.from_urdf(written("<mujoco/>", tmp_path / "arm.urdf"), dimensions=2)
     with pytest.raises(FileNotFoundError):
         Body.load(tmp_path / "none.urdf")

@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from invdyn.models import Body, BodyError, Tree
-from invdyn.models.bodies import in_space
+from invdyn.models import Body, BodyError
 from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES
 
 CORNER = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -63,11 +62,11 @@ def test_a_file_without_bounds_is_one_line(text, message, tmp_path):
     for name in ("arm.xml", "arm.toml"):
         (tmp_path / name).write_text(text)
         with pytest.raises(BodyError, match=message) as refusal:
-            in_space.load_body(tmp_path / name)
+            Body.load(tmp_path / name)
         assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("loaded", [Body.load, Body.from_toml, in_space.load_body, Tree.from_toml])
+@pytest.mark.parametrize("loaded", [Body.load, Body.from_toml])
 def test_an_endless_file_ends(loaded):
     with pytest.raises(BodyError, match=f"at most {MOST_BYTES / 2**20:g} MiB"):
         loaded("/dev/zero")
@@ -76,8 +75,8 @@ def test_an_endless_file_ends(loaded):
 def test_a_robots_file_is_known_by_its_content_wherever_it_is_read(tmp_path):
     (tmp_path / "arm.toml").write_text(chain(2))
     (tmp_path / "arm.xml").write_text('dimensions = 3\n[[links]]\nname = "l"\njoint = "j"\nmass = 1.0')
-    assert in_space.load_body(tmp_path / "arm.toml") == Body.load(tmp_path / "arm.toml")
-    assert isinstance(in_space.load_body(tmp_path / "arm.xml"), Tree)
+    assert Body.load(tmp_path / "arm.toml") == Body.load(tmp_path / "arm.toml")
+    assert not Body.load(tmp_path / "arm.xml").is_chain
 
 
 def mjcf(more="", assets="", geom='<geom type="mesh" mesh="tri"/>'):

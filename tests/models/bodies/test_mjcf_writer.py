@@ -10,7 +10,7 @@ import pytest
 import torch
 from trees import MuJoCo, mobile_arm, panda, paper_arm, random_state, random_tree
 
-from invdyn.models import Body, BodyError, Joint, Learned, SpatialLink, Tree, load_body, write_mjcf
+from invdyn.models import Body, BodyError, Joint, Learned, Link, load_body, write_mjcf
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
@@ -36,7 +36,7 @@ def moved(tree, joints, sites):
 @pytest.mark.parametrize("tree", TREES.values(), ids=TREES)
 def test_a_tree_comes_back_from_mjcf(tree, tmp_path):
     write_mjcf(tree, tmp_path / "arm.xml")
-    back = Tree.from_mjcf(tmp_path / "arm.xml")
+    back = Body.from_mjcf(tmp_path / "arm.xml", dimensions=3)
     assert set(back.joint_names) == set(tree.joint_names)
     assert set(back.keypoint_names) == set(tree.keypoint_names)
     ours, again = (moved(each, tree.joint_names, tree.keypoint_names) for each in (tree, back))
@@ -69,7 +69,7 @@ def test_a_planar_body_comes_back_as_one(name, tmp_path):
         warnings.filterwarnings("ignore", "MJCF cannot say priors", UserWarning)
         write_mjcf(replace(body, uncertainty={}), tmp_path / "arm.xml")
     back = load_body(tmp_path / "arm.xml")
-    assert isinstance(back, Body)
+    assert back.is_chain
     for names in ("joint_names", "link_names", "keypoint_names"):
         assert getattr(back, names) == getattr(body, names)
     for ours, again in zip(body.parameters(), back.parameters(), strict=True):
@@ -79,8 +79,8 @@ def test_a_planar_body_comes_back_as_one(name, tmp_path):
 def test_a_tree_of_mjcf_comes_back_from_toml(tmp_path):
     """Names that TOML would have to quote are quoted."""
     arm = replace(panda().links[0], sites={"left hand": (0.1, 0.0, 0.0), "marker.3": (0.0, 0.2, 0.0)})
-    write_mjcf(Tree("arm", [arm, *panda().links[1:]]), tmp_path / "arm.xml")
-    tree = Tree.from_mjcf(tmp_path / "arm.xml")
+    write_mjcf(Body("arm", [arm, *panda().links[1:]]), tmp_path / "arm.xml")
+    tree = Body.from_mjcf(tmp_path / "arm.xml", dimensions=3)
     tree.to_toml(tmp_path / "arm.toml")
     assert load_body(tmp_path / "arm.toml") == tree
 
@@ -88,11 +88,11 @@ def test_a_tree_of_mjcf_comes_back_from_toml(tmp_path):
 def test_what_mjcf_cannot_say_is_said(tmp_path):
     uncertain = [replace(link, mass=dist.LogNormal(torch.tensor(0.0), torch.tensor(0.1))) for link in panda().links]
     with pytest.warns(UserWarning, match=r"MJCF cannot say priors \(written: their means\)"):
-        write_mjcf(Tree("arm", uncertain), tmp_path / "arm.xml")
-    assert Tree.from_mjcf(tmp_path / "arm.xml").links[0].mass == pytest.approx(np.exp(0.005))
+        write_mjcf(Body("arm", uncertain), tmp_path / "arm.xml")
+    assert Body.from_mjcf(tmp_path / "arm.xml", dimensions=3).links[0].mass == pytest.approx(np.exp(0.005))
     learned = replace(panda().links[0], mass=Learned(4.0))
     with pytest.warns(UserWarning, match="cannot say learned scalars"):
-        write_mjcf(Tree("arm", [learned, *panda().links[1:]]), tmp_path / "arm.xml")
+        write_mjcf(Body("arm", [learned, *panda().links[1:]]), tmp_path / "arm.xml")
     with pytest.warns(UserWarning, match=r"that joints are driven \(forward\)"):
         write_mjcf(mobile_arm(driven=True), tmp_path / "arm.xml")
 
@@ -100,31 +100,31 @@ def test_what_mjcf_cannot_say_is_said(tmp_path):
 def test_what_a_joint_has_besides_comes_back(tmp_path):
     parts = JointParts(damping=0.3, friction=0.1, armature=0.02, stiffness=2.0, rest=0.4)
     links = panda().links
-    write_mjcf(Tree("arm", [*links[:3], replace(links[3], parts=parts), *links[4:]]), tmp_path / "arm.xml")
-    assert Tree.from_mjcf(tmp_path / "arm.xml").joint_parts == (None, None, None, parts, None, None, None)
+    write_mjcf(Body("arm", [*links[:3], replace(links[3], parts=parts), *links[4:]]), tmp_path / "arm.xml")
+    assert Body.from_mjcf(tmp_path / "arm.xml", dimensions=3).joint_parts == (None, None, None, parts, None, None, None)
     servo = replace(links[3], parts=JointParts(motor=Motor("position", 40.0, 40.0)))
     with pytest.warns(UserWarning, match="cannot say limits and servos of motors"):
-        write_mjcf(Tree("arm", [*links[:3], servo, *links[4:]]), tmp_path / "arm.xml")
+        write_mjcf(Body("arm", [*links[:3], servo, *links[4:]]), tmp_path / "arm.xml")
 
 
 def test_moments_that_no_rigid_body_has(tmp_path):
     """About one direction alone any tensor will do, and MuJoCo gets one that it takes; elsewhere the user is told."""
-    flat = SpatialLink("disc", Joint("axle"), mass=1.0, com=(0.1, 0.0, 0.0), inertia=(0.0, 0.0, 0.3, 0, 0, 0))
-    write_mjcf(Tree("wheel", [flat]), tmp_path / "arm.xml")
+    flat = Link("disc", Joint("axle"), mass=1.0, com=(0.1, 0.0, 0.0), inertia=(0.0, 0.0, 0.3, 0, 0, 0))
+    write_mjcf(Body("wheel", [flat]), tmp_path / "arm.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
     assert model.body_inertia[1] == pytest.approx([0.3] * 3)
     rounded = replace(flat, joint=Joint("ball", "ball"), inertia=(0.1, 0.2, 0.30001, 0, 0, 0))
     with pytest.raises(BodyError, match="link 'disc': MuJoCo wants principal moments"):
-        write_mjcf(Tree("wheel", [rounded]), tmp_path / "arm.xml")
+        write_mjcf(Body("wheel", [rounded]), tmp_path / "arm.xml")
 
 
 def test_massless_links_are_joints_of_what_they_carry(tmp_path):
-    yaw = SpatialLink("gimbal", Joint("yaw"))
-    arm = SpatialLink("arm", Joint("pitch", axis=(0, 1, 0)), "gimbal", (0, 0, 0.2), mass=1.0, com=(0.2, 0, 0))
+    yaw = Link("gimbal", Joint("yaw"))
+    arm = Link("arm", Joint("pitch", axis=(0, 1, 0)), parent="gimbal", origin=(0, 0, 0.2), mass=1.0, com=(0.2, 0, 0))
     arm = replace(arm, inertia=(0.01, 0.02, 0.02, 0, 0, 0))
-    write_mjcf(Tree("arm", [yaw, arm]), tmp_path / "arm.xml")
+    write_mjcf(Body("arm", [yaw, arm]), tmp_path / "arm.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
     assert (model.nbody, model.njnt) == (2, 2)
     seen = replace(yaw, sites={"ring": (0.1, 0, 0)})
     with pytest.raises(BodyError, match="link 'gimbal': MuJoCo has no massless link that moves"):
-        write_mjcf(Tree("arm", [seen, arm]), tmp_path / "arm.xml")
+        write_mjcf(Body("arm", [seen, arm]), tmp_path / "arm.xml")

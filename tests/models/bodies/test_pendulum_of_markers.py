@@ -72,7 +72,7 @@ def test_every_site_of_parallel_hinges_is_a_keypoint_and_all_of_them_are_inferre
     assert set(body.keypoint_names) == set(pendulum)
     assert len(pendulum) == 16
     assert body.joint_names == ("j1", "j2", "j3")
-    recording = load_recording("markers.csv", body, None, False)
+    recording = load_recording("markers.csv", body)
     found = infer(recording, body, method="laplace", passive=True)
     assert found.posterior_predictive["position"].sizes["keypoint"] == 16
     off = (found.posterior_predictive["position"] - found.observed_data["position"]).mean(("chain", "draw"))

@@ -10,16 +10,14 @@ import pyro.distributions as dist
 import pytest
 import torch
 from chains import assert_close as close
-from trees import F64, mobile_arm, panda, paper_arm, random_state, random_tree
+from trees import F64, mobile_arm, panda, paper_arm, parameters_in_space, random_state, random_tree
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.body import Body, load_body
 from invdyn.models.bodies.dh import Inertial, Row, from_dh
-from invdyn.models.bodies.in_space import load_body, parameters_in_space, tree_of
 from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.rotations import chart_angles, of_chart
 from invdyn.models.bodies.scalars import BodyError, Learned, prior
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 PLANAR = """
@@ -46,35 +44,34 @@ def test_files_are_read_back_as_they_were(tree, tmp_path):
 
 
 def test_priors_and_learned_scalars_are_read_back(tmp_path):
-    link = SpatialLink(
+    link = Link(
         "rod", Joint("pivot"), mass=prior(1.5, 0.1), length=Learned(0.4), tip="end", com=(0.1, prior(-0.1, 0.02), 0)
     )
-    Tree("b", [link]).to_toml(tmp_path / "b.toml")
+    Body("b", [link]).to_toml(tmp_path / "b.toml")
     read = load_body(tmp_path / "b.toml")
     assert read.has_priors
     assert read.links[0].length == Learned(0.4)
     assert read.links[0].com[1].stddev.item() == pytest.approx(0.02)
     with pytest.raises(BodyError, match="log-normal priors"):
-        Tree("b", [dataclasses.replace(link, mass=dist.Gamma(2.0, 1.0))]).to_toml(tmp_path / "c.toml")
+        Body("b", [dataclasses.replace(link, mass=dist.Gamma(2.0, 1.0))]).to_toml(tmp_path / "c.toml")
 
 
 def test_planar_files_stay_planar(tmp_path):
     (tmp_path / "flat.toml").write_text(PLANAR)
     body = load_body(tmp_path / "flat.toml")
-    assert isinstance(body, Body)
-    with pytest.raises(BodyError, match="a planar body; one in space has dimensions = 3"):
-        Tree.from_toml(tmp_path / "flat.toml")
-    tree, p = tree_of(body), parameters_in_space(body.parameters())
+    assert body.is_chain
+    assert body.dimensions == 2
+    tree, p = body.in_space(), parameters_in_space(body.parameters())
     assert (tree.joint_names, tree.keypoint_names) == (("shoulder",), ("elbow",))
     assert all(torch.equal(x, y) for x, y in zip(tree.parameters()[3:], p[3:], strict=True))
 
 
 def test_sticks_follow_their_lengths():
-    tree = Tree(
+    tree = Body(
         "arm",
         [
-            SpatialLink("upper", Joint("shoulder", "ball"), length=Learned(0.3), tip="elbow", mass=2.0),
-            SpatialLink("fore", Joint("bend"), "upper", length=0.25, tip="wrist", mass=1.0),
+            Link("upper", Joint("shoulder", "ball"), length=Learned(0.3), tip="elbow", mass=2.0),
+            Link("fore", Joint("bend"), parent="upper", length=0.25, tip="wrist", mass=1.0),
         ],
     )
     pyro.clear_param_store()
@@ -90,9 +87,9 @@ def test_sticks_follow_their_lengths():
 
 
 def test_sampled_numbers_gain_the_plates_dimensions():
-    link = SpatialLink("rod", Joint("pivot"), mass=prior(1.5, 0.1), com=(0.2, dist.Normal(0.0, 0.1), 0.0))
+    link = Link("rod", Joint("pivot"), mass=prior(1.5, 0.1), com=(0.2, dist.Normal(0.0, 0.1), 0.0))
     with pyro.plate("bodies", 5), pyro.poutine.trace() as traced:
-        p = Tree("b", [link]).sample()
+        p = Body("b", [link]).sample()
     assert {"rod.mass", "rod.com_y"} <= set(traced.trace.nodes)
     assert p.mass.shape == (5, 1)
     assert p.com.shape == (5, 1, 3)
@@ -100,11 +97,11 @@ def test_sampled_numbers_gain_the_plates_dimensions():
 
 
 def test_names_of_coordinates():
-    tree = Tree(
+    tree = Body(
         "b",
         [
-            SpatialLink("a", Joint("root", "free"), mass=1.0, inertia=(1, 1, 1, 0, 0, 0)),
-            SpatialLink("b", Joint("wrist", "ball", chart="zxz"), "a", mass=1.0, inertia=(1, 1, 1, 0, 0, 0)),
+            Link("a", Joint("root", "free"), mass=1.0, inertia=(1, 1, 1, 0, 0, 0)),
+            Link("b", Joint("wrist", "ball", chart="zxz"), parent="a", mass=1.0, inertia=(1, 1, 1, 0, 0, 0)),
         ],
     )
     assert tree.joint_names[:6] == ("root_x", "root_y", "root_z", "root_yaw", "root_pitch", "root_roll")
@@ -162,7 +159,7 @@ def test_angles_of_a_chart_make_the_rotation(chart):
 
 def test_another_chart_of_the_same_ball():
     turn = of_chart("xyz", (0.4, 1.0, -0.3))
-    link = SpatialLink("l", Joint("ball", "ball"), sites={"s": (0.1, 0.2, 0.3)})
+    link = Link("l", Joint("ball", "ball"), sites={"s": (0.1, 0.2, 0.3)})
     joint = link.joint.recentred(turn)
     other = dataclasses.replace(link, joint=joint, rotation=turn.tolist())
     q = np.array([0.3, 0.2, -0.5])
@@ -170,7 +167,7 @@ def test_another_chart_of_the_same_ball():
     moved = chart_angles((turn.T @ rotation @ np.array(joint.reference).T)[None], "zyx")[0]
     places = [
         SpatialDynamics(tree, rotors=True).keypoints(torch.tensor(angles), tree.parameters())
-        for tree, angles in ((Tree("a", [link]), q), (Tree("b", [other]), moved))
+        for tree, angles in ((Body("a", [link]), q), (Body("b", [other]), moved))
     ]
     close(places[0], places[1], 1e-12)
 
@@ -212,37 +209,37 @@ MADE = {
 
 
 def test_a_base_may_stand_anywhere_and_a_joint_only_within_reach():
-    base = SpatialLink("a", Joint("j"), mass=1.0, origin=(300.0, 0, 0), inertia=(1, 1, 1, 0, 0, 0))
-    Tree("b", [base])
+    base = Link("a", Joint("j"), mass=1.0, origin=(300.0, 0, 0), inertia=(1, 1, 1, 0, 0, 0))
+    Body("b", [base])
     with pytest.raises(BodyError, match=r"origin in m: expected up to 30,.* got 300; is the unit right"):
-        SpatialLink("l", Joint("k"), parent="a", mass=1.0, origin=(300.0, 0, 0))
+        Link("l", Joint("k"), parent="a", mass=1.0, origin=(300.0, 0, 0))
 
 
 @pytest.mark.parametrize("said", MADE)
 def test_what_a_link_cannot_be_is_said_in_one_line(said):
     given = {"name": "l", "mass": 1.0} | MADE[said]
     with pytest.raises(BodyError, match=re.escape(said)) as caught:
-        Tree("b", [SpatialLink(**given | {"joint": Joint("j", **given.get("joint", {}))})])
+        Body("b", [Link(**given | {"joint": Joint("j", **given.get("joint", {}))})])
     assert "\n" not in str(caught.value)
 
 
 def test_inertia_is_asked_for_no_more_than_plays_a_part():
     # about one direction: its moment alone; without turns: nothing
-    Tree("b", [SpatialLink("l", Joint("j"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
-    Tree("b", [SpatialLink("l", Joint("j", "slide"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
+    Body("b", [Link("l", Joint("j"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
+    Body("b", [Link("l", Joint("j", "slide"), mass=1.0, inertia=(0, 0, 3, 0, 0, 0))])
     tilted = Joint("j", axis=(math.sqrt(0.5), math.sqrt(0.5), 0.0))
     with pytest.raises(BodyError, match="moment of inertia about its hinge"):
-        Tree("b", [SpatialLink("l", tilted, mass=1.0, inertia=(1, 1, 1, -2, 0, 0))])
+        Body("b", [Link("l", tilted, mass=1.0, inertia=(1, 1, 1, -2, 0, 0))])
 
 
 def test_circles_and_names_used_twice():
-    one, two = SpatialLink("a", Joint("j"), "b", mass=1.0), SpatialLink("b", Joint("k"), "a", mass=1.0)
+    one, two = Link("a", Joint("j"), parent="b", mass=1.0), Link("b", Joint("k"), parent="a", mass=1.0)
     with pytest.raises(BodyError, match="hang on each other in a circle: 'a' on 'b', 'b' on 'a'"):
-        Tree("t", [one, two])
+        Body("t", [one, two])
     for twice in ({"name": "b"}, {"joint": Joint("k")}, {"tip": "s", "length": 0.1}):
         first = dataclasses.replace(one, parent="world", **twice)
         with pytest.raises(BodyError, match=r"got '[bks]' twice"):
-            Tree("t", [first, dataclasses.replace(two, parent=first.name, sites={"s": (0, 0, 0)})])
+            Body("t", [first, dataclasses.replace(two, parent=first.name, sites={"s": (0, 0, 0)})])
 
 
 WRITTEN = {
@@ -253,7 +250,7 @@ WRITTEN = {
     "name of a site: expected a text that is not blank, got ..t..": 'length = 0.1\ntip = ["t"]',
     "expected sites as a table": "sites = [[0.1, 0, 0]]",
     "expected driven = true or false": "driven = 1",
-    "gravity in m/s² .in space.: expected 3 numbers": "",
+    "gravity in m/s²: expected 3 numbers": "",
     "expected dimensions = 2 .the default. or 3": "",
 }
 

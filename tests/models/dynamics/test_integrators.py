@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.body import planar_body
 from invdyn.models.bodies.link import Link
 from invdyn.models.dynamics.integrators import INTEGRATORS, euler, rk4, semi_implicit
 from invdyn.models.dynamics.planar import planar_dynamics
@@ -19,7 +19,7 @@ class FreeSwing:
 
     def __init__(self, K):
         links = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=0.4, mass=1.0 + 0.3 * k) for k in range(K)]
-        self.p = Body("swing", links).parameters()
+        self.p = planar_body("swing", links).parameters()
         self.dynamics = planar_dynamics(K)
         # away from the vertical by half a radian, and each joint bent a little
         self.start = torch.linspace(-1.0, 0.2, K, dtype=F64), torch.zeros(K, dtype=F64)

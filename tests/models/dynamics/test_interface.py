@@ -4,8 +4,9 @@ import pytest
 import torch
 from chains import BOTH, JOINTS, METHODS, call, random_case
 
-from invdyn.models.bodies.body import Body, BodyParameters
+from invdyn.models.bodies.body import planar_body
 from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.planar import PlanarDynamics, planar_dynamics
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.dynamics.symbolic import SymbolicDynamics
@@ -88,7 +89,7 @@ def test_long_chains_invert(K):
 
 
 def test_the_choice():
-    arm = Body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0)])
+    arm = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0)])
     assert dynamics_for(arm) is planar_dynamics(1)
     assert isinstance(dynamics_for(arm, "symbolic"), SymbolicDynamics)
     with pytest.raises(ValueError, match="expected dynamics among traced, symbolic, got 'fast'"):

@@ -6,7 +6,7 @@ import pickle
 import pytest
 import torch
 
-from invdyn.models.bodies.body import BodyParameters
+from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.planar import PlanarDynamics, planar_dynamics
 from invdyn.models.dynamics.symbolic import SymbolicDynamics
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, planar_body
 
 LENGTHS, MASSES = (0.3, 0.25, 0.2), (1.5, 1.0, 0.6)
 
@@ -15,7 +15,7 @@ def make_arm(joints=2, rows=12, step=0.01, size=1.0, weight=1.0, seed=0, **kwarg
         Link(f"link{k}", f"joint{k}", f"tip{k}", length=LENGTHS[k] * size, mass=MASSES[k] * weight)
         for k in range(joints)
     ]
-    body = Body("arm", links, gravity=(0.0, -9.81), base=(0.02 * size, -0.01 * size))
+    body = planar_body("arm", links, gravity=(0.0, -9.81), base=(0.02 * size, -0.01 * size))
     rng = np.random.default_rng(seed)
     held = np.array([9.81 * weight * size * (0.4, 0.15, 0.06)[k] for k in range(joints)])
     command = rng.normal(size=(rows, joints)) * held

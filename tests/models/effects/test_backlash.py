@@ -8,11 +8,11 @@ import torch
 from rod import F64
 from scipy.integrate import solve_ivp
 
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation, planar_dynamics
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body, planar_dynamics
 from invdyn.models.effects import Backlash
 
 LINKS = [Link("upper", "shoulder", "elbow", 0.3, 1.5), Link("fore", "elbow", "wrist", 0.25, 1.0)]
-BODY = Body("arm", LINKS, gravity=(0.0, -9.81))
+BODY = planar_body("arm", LINKS, gravity=(0.0, -9.81))
 WIDTH, DURATION, START = 0.06, 1.2, (0.5, 1.2, 0.0, -2.0)  # rad, s; angles and rates
 PLAY = Backlash("elbow").bound(BODY)
 

@@ -9,13 +9,13 @@ from servo_in_mujoco import servo_log, servo_mjcf
 
 from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.report.sentences import details, verdict
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import CameraLatency, EncoderOffset
 from invdyn.recordings import Recording
 from invdyn.simulate import random_arm, record
 
 OFF = 0.03  # rad
-BENCH = Body(
+BENCH = planar_body(
     "bench arm",
     [
         Link("upper_arm", joint="shoulder", tip="elbow", length=0.30, mass=1.5),

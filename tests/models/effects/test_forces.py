@@ -8,7 +8,7 @@ import torch
 from rod import F64, INERTIA, rod, rolled, torque_of
 
 from invdyn.diagnosis.catalogue import CATALOGUE
-from invdyn.models import ArmModel, Body, Link
+from invdyn.models import ArmModel, Link, planar_body
 from invdyn.models.effects import (
     Armature,
     BaseMotion,
@@ -99,7 +99,7 @@ def test_ripple_is_a_sine_of_the_angle(having, states, arm):
 
 # -- the body --------------------------------------------------------------------------------------
 def arm_of(links, gravity=(0.0, -9.81)):
-    return ArmModel(Body("arm", links, gravity=gravity), 0.01 * np.arange(5))
+    return ArmModel(planar_body("arm", links, gravity=gravity), 0.01 * np.arange(5))
 
 
 def test_a_payload_is_a_heavier_link(arm, having, states):
@@ -127,7 +127,7 @@ def test_tilt_turns_gravity_counterclockwise(arm, having, states):
     x = states(ideal, 10)
     tilted = arm_of(ideal.body.links, gravity=(9.81 * math.sin(0.2), -9.81 * math.cos(0.2)))
     torch.testing.assert_close(model.transition_mean(x, 3), tilted.transition_mean(x, 3))
-    weightless = Body("arm", ideal.body.links, gravity=(0.0, 0.0))
+    weightless = planar_body("arm", ideal.body.links, gravity=(0.0, 0.0))
     assert GravityTilt.everywhere(weightless, weightless.keypoint_names) == []
 
 

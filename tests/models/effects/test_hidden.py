@@ -7,7 +7,7 @@ import pytest
 import torch
 from rod import F64, rod
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, planar_dynamics
+from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, planar_body, planar_dynamics
 from invdyn.models.effects import Backlash, BaseMotion, ExternalPush, JointStiffness, LinkFlexibility
 
 STEP = 0.0025  # s
@@ -104,7 +104,9 @@ def halves(rows, step):
     """The rod in two hinged halves."""
     links = [Link(f"half{k}", f"joint{k}", f"tip{k}", 0.15, 0.75, 0.075, 0.75 * 0.15**2 / 12) for k in range(2)]
     return ArmModel(
-        Body("halves", links, gravity=(0.0, -9.81)), step * np.arange(rows), Observation(Keypoints([0, 1]), Encoders())
+        planar_body("halves", links, gravity=(0.0, -9.81)),
+        step * np.arange(rows),
+        Observation(Keypoints([0, 1]), Encoders()),
     )
 
 

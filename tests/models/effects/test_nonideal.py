@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.rules import DEFAULT
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import (
     EFFECTS,
     CoulombFriction,
@@ -172,7 +172,7 @@ def test_a_regularised_stop_yields_to_any_load(having):
 @pytest.mark.parametrize("gravity", [(0.0, -9.81), (0.0, 0.0)])
 @pytest.mark.parametrize("length", [0.1, 0.3, 1.0])
 def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
-    body = Body("rod", [Link("link", "hinge", "tip", length=length, mass=1.5)], gravity=gravity)
+    body = planar_body("rod", [Link("link", "hinge", "tip", length=length, mass=1.5)], gravity=gravity)
     model = ArmModel(body, 0.01 * np.arange(9), Observation(Keypoints([0])), command=np.full((9, 1), 0.3 * length))
     (inertia,) = model.scale.inertia
     priors = {p.name: p.prior for p in JointLimit("hinge").nonideal().bound(body).parameters(model.scale)}

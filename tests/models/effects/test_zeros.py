@@ -10,11 +10,9 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, planar_body
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.rotations import about
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import Effect, stages_of
 
@@ -55,15 +53,15 @@ def in_space(zeros):
         Joint(f"j{k}", axis=tuple(a), reference=about(a, z)) for k, (a, z) in enumerate(zip(AXES, zeros, strict=True))
     ]
     (long, heavy), (short, light) = SIZES
-    upper = SpatialLink("upper", joints[0], length=long, tip="elbow", mass=heavy)
+    upper = Link("upper", joints[0], length=long, tip="elbow", mass=heavy)
     return model_of(
-        Tree("arm", [upper, SpatialLink("fore", joints[1], "upper", length=short, tip="wrist", mass=light)])
+        Body("arm", [upper, Link("fore", joints[1], parent="upper", length=short, tip="wrist", mass=light)])
     )
 
 
 def in_plane(zeros):
     links = [Link(f"l{k}", f"j{k}", f"tip{k}", length=length, mass=mass) for k, (length, mass) in enumerate(SIZES)]
-    return model_of(Body("arm", links, gravity=tuple(turned(np.array([0.0, -9.81]), zeros[0])), base=(0.0, 0.0)))
+    return model_of(planar_body("arm", links, gravity=tuple(turned(np.array([0.0, -9.81]), zeros[0])), base=(0.0, 0.0)))
 
 
 def turned(vectors, angle):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import norm, t
 
-from invdyn.models import Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import Encoders, Keypoints, Link, Observation, planar_body
 from invdyn.models.observation.view import View
 
 F64 = torch.float64
@@ -14,7 +14,7 @@ ANGLES = torch.tensor([0.1, -0.7, 2.0], dtype=F64)
 
 
 LINKS = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=1.0, mass=1.0) for k in range(3)]
-BODY = Body("arm", LINKS)
+BODY = planar_body("arm", LINKS)
 
 
 def seen(tips, angles, **more):

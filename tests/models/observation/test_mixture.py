@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal, norm
 
-from invdyn.models import ArmModel, Body, Keypoints, Link, Observation
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import LabelSwap, Outliers
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob, times
 from invdyn.models.observation.mixture import MistakenRows
@@ -196,7 +196,7 @@ def test_rates_of_zero_are_no_mixture_and_have_slopes():
 
 def test_effects_know_the_recordings_order():
     """Tips tracked in another order than the body's, and not all of them."""
-    body = Body("arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(3)])
+    body = planar_body("arm", [Link(f"l{k}", f"j{k}", f"t{k}", length=0.3, mass=1.0) for k in range(3)])
     model = ArmModel(body, 0.01 * np.arange(4), Observation(Keypoints([2, 0]))).with_effects(
         LabelSwap("t0", "t2"), Outliers()
     )

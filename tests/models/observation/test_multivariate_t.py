@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import kstest, multivariate_t, norm, t
 
-from invdyn.models import Body, Encoders, Keypoints, Link, Observation
+from invdyn.models import Encoders, Keypoints, Link, Observation, planar_body
 from invdyn.models.observation.missing import gaussian_rows, observed_log_prob
 from invdyn.models.observation.multivariate_t import MultivariateT
 
@@ -96,5 +96,5 @@ def test_drawn_rows_have_that_law_and_coordinates_stray_together():
 
 def test_an_observation_of_this_family_begins_with_degrees_of_freedom():
     links = [Link("a", "base", "elbow", 1.0, 1.0), Link("b", "elbow", "tip", 1.0, 1.0)]
-    observation = Observation(Keypoints([1]), Encoders(), family="multivariate_t").bound(Body("arm", links))
+    observation = Observation(Keypoints([1]), Encoders(), family="multivariate_t").bound(planar_body("arm", links))
     assert observation.defaults(1.0)["emission.df"].shape == (1,)

@@ -13,7 +13,7 @@ from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.smoothing.linearisation import slopes_along
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
-from invdyn.models import ArmModel, Encoders, Joint, Keypoints, Observation, Pixels, Sensor, SpatialLink, Tree
+from invdyn.models import ArmModel, Body, Encoders, Joint, Keypoints, Link, Observation, Pixels, Sensor
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.models.observation.pixels import ROTATION_TIME
 from invdyn.models.observation.sensor import SensorWithStates
@@ -28,9 +28,9 @@ HANGING = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 
 def arm():
     own = {"inertia": (0.003, 0.012, 0.012, 0.0, 0.0, 0.0), "rotation": HANGING}
-    upper = SpatialLink("upper", Joint("shoulder", "universal"), length=0.3, tip="elbow", mass=2.0, **own)
-    fore = SpatialLink("fore", Joint("elbow", "universal"), "upper", length=0.25, tip="wrist", mass=1.0)
-    return Tree("arm", [upper, fore])
+    upper = Link("upper", Joint("shoulder", "universal"), length=0.3, tip="elbow", mass=2.0, **own)
+    fore = Link("fore", Joint("elbow", "universal"), parent="upper", length=0.25, tip="wrist", mass=1.0)
+    return Body("arm", [upper, fore])
 
 
 CALIBRATION = ring(3)

@@ -5,10 +5,9 @@ import pytest
 import torch
 from chains import METHODS, call, random_case
 from chains import assert_close as close
-from trees import MuJoCo, mobile_arm, panda, pinocchio_of, random_state, random_tree
+from trees import MuJoCo, mobile_arm, panda, parameters_in_space, pinocchio_of, random_state, random_tree
 
-from invdyn.models.bodies.body import Body
-from invdyn.models.bodies.in_space import parameters_in_space, tree_of
+from invdyn.models.bodies.body import planar_body
 from invdyn.models.bodies.link import Link
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
@@ -68,7 +67,7 @@ def test_planar_bodies_laid_into_space_are_the_planar_ones(K):
     p, *state = random_case(K, K, batch=(3, 50), body_batch=(3, 1))
     state = dict(zip(("q", "qd", "tau"), state, strict=True))
     links = [Link(f"link{k}", f"joint{k}", f"tip{k}", 1.0, 1.0) for k in range(K)]
-    planar, spatial = planar_dynamics(K), SpatialDynamics(tree_of(Body("chain", links)))
+    planar, spatial = planar_dynamics(K), SpatialDynamics(planar_body("chain", links).in_space())
     for method in METHODS:
         flat, deep = call(planar, method, state, p), call(spatial, method, state, parameters_in_space(p))
         if method == "keypoints":

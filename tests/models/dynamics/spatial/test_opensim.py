@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.interpolate import make_interp_spline
 
-from invdyn.models import Joint, SpatialLink, Tree, dynamics_for
+from invdyn.models import Body, Joint, Link, dynamics_for
 from invdyn.recordings import load
 from invdyn.recordings.formats.opensim import read_sto, write_moments, write_motion
 
@@ -28,10 +28,10 @@ def arm26(path):
 
     def link(name, joint, parent, above):
         axis = numbers(joints[joint].find("SpatialTransform/TransformAxis"), "axis")
-        return SpatialLink(
+        return Link(
             name,
             Joint(joints[joint].find("coordinates/Coordinate").get("name"), axis=tuple(axis / np.linalg.norm(axis))),
-            parent,
+            parent=parent,
             origin=above + numbers(joints[joint].find("frames/PhysicalOffsetFrame"), "translation"),
             mass=float(bodies[name].find("mass").text),
             com=numbers(bodies[name], "mass_center"),
@@ -40,7 +40,7 @@ def arm26(path):
 
     humerus = link("r_humerus", "r_shoulder", "world", raised)
     forearm = link("r_ulna_radius_hand", "r_elbow", "r_humerus", np.zeros(3))
-    return Tree("arm26", [humerus, forearm], numbers(model.find("Model"), "gravity"))
+    return Body("arm26", [humerus, forearm], numbers(model.find("Model"), "gravity"))
 
 
 def test_inverse_dynamics_of_an_arm(data_folder):

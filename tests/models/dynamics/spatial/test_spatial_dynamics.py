@@ -9,10 +9,10 @@ import torch
 from chains import assert_close as close
 from trees import F64, mobile_arm, paper_arm, random_state, random_tree
 
+from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.joints import Joint
+from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.spatial_link import SpatialLink
-from invdyn.models.bodies.tree import Tree
 from invdyn.models.bodies.tree_parameters import TreeParameters
 from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
 
@@ -82,7 +82,7 @@ def test_parameters_that_disagree_with_the_trees_zeros_are_believed():
     plain, state = paper_arm(), random_state(4, 0)
     coms = [(0.4, 0.1, -0.2), (0.3, 0.0, 0.1)]
     links = [dataclasses.replace(link, com=com) for link, com in zip(plain.links, coms, strict=True)]
-    crooked = Tree("crooked", links, (1.0, 2.0, -9.0))
+    crooked = Body("crooked", links, (1.0, 2.0, -9.0))
     dynamics, p = SpatialDynamics(plain), crooked.parameters()
     dynamics.forward(*state, plain.parameters())
     close(dynamics.forward(*state, p), SpatialDynamics(crooked).forward(*state, p), 1e-12)
@@ -166,17 +166,17 @@ def test_zeros_are_left_out():
 @pytest.mark.parametrize(
     ("link", "said"),
     [
-        (SpatialLink("l", Joint("j")), "nothing resists a torque at 'j'"),
-        (SpatialLink("l", Joint("j"), mass=1.0, com=(0, 0, 0.3)), "nothing resists a torque at 'j'"),
-        (SpatialLink("l", Joint("j", "slide"), inertia=(1, 1, 1, 0, 0, 0)), "nothing resists a torque at 'j'"),
-        (SpatialLink("l", Joint("j", "ball"), length=0.3, tip="t", mass=1.0), "nothing resists a torque at 'j_roll'"),
+        (Link("l", Joint("j")), "nothing resists a torque at 'j'"),
+        (Link("l", Joint("j"), mass=1.0, com=(0, 0, 0.3)), "nothing resists a torque at 'j'"),
+        (Link("l", Joint("j", "slide"), inertia=(1, 1, 1, 0, 0, 0)), "nothing resists a torque at 'j'"),
+        (Link("l", Joint("j", "ball"), length=0.3, tip="t", mass=1.0), "nothing resists a torque at 'j_roll'"),
     ],
 )
 def test_a_coordinate_that_nothing_resists(link, said):
     with pytest.raises(BodyError, match=said) as caught:
-        SpatialDynamics(Tree("b", [link]))
+        SpatialDynamics(Body("b", [link]))
     assert "\n" not in str(caught.value)
-    SpatialDynamics(Tree("b", [link]), rotors=True)
+    SpatialDynamics(Body("b", [link]), rotors=True)
 
 
 def test_a_copy_for_another_process_is_as_good():
