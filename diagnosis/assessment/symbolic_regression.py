@@ -78,7 +78,7 @@ The unit 1 and the constant term are left out in words: "+0.1 × u[elbow] on elb
 
 def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -> Formula | None:
     """Formula of what is left under ``cause``; None where no term earns its place."""
-    terms, features = _library(cause, path)
+    terms, features = library_of_terms(cause, path)
     linear = linear_of(problem, cause.model, path)
     K, D = cause.model.body.num_joints, path.shape[-1]
     decay = torch.full_like(cause.model.parameters["torque.decay"], FIXED.negligible)
@@ -109,7 +109,7 @@ def describe(problem: DiagnosisProblem, cause: FittedHypothesis, path: Tensor) -
         terms[i][0]: (float(mean), float(s), terms[i][2])
         for i, mean, s in zip(chosen, fit.mean[0], errors, strict=True)
     }
-    text = "; ".join(f"{_written(mean, s)}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
+    text = "; ".join(f"{written_coefficient(mean, s)}{_factor(unit, name)}" for name, (mean, s, unit) in named.items())
     variables = tuple(dict.fromkeys(terms[i][3] for i in chosen if terms[i][3]))
     return Formula(text, named, variables, _held_out_gain(whitened, size, chosen, sd, problem.rules))
 
@@ -125,7 +125,7 @@ def _is_product(name: str) -> bool:
     return name.startswith("t ") or (" d" in name.partition(" on ")[0] and not name.startswith("sgn "))
 
 
-def _library(cause: FittedHypothesis, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
+def library_of_terms(cause: FittedHypothesis, path: Tensor) -> tuple[list[tuple[str, int, str, str]], list[np.ndarray]]:
     """Terms (name, joint that the torque acts on, unit, variable) and their features (T − 1,)."""
     model = cause.model
     _, q, qd = (x.numpy() for x in model.split(path))
@@ -199,7 +199,7 @@ def _scatter(
     return np.sqrt((len(found) - 1) * found[:, chosen].var(axis=0))
 
 
-def _written(mean: float, sd: float) -> str:
+def written_coefficient(mean: float, sd: float) -> str:
     """A coefficient to the digits that its standard error, more than 0, supports: "-0.30 ± 0.01"."""
     places = decimals(sd)
     return f"{round(mean, places):+.{max(places, 0)}f} ± {round(sd, places):.{max(places, 0)}f}"

@@ -122,7 +122,7 @@ def _refined(
         if not (np.isfinite(top.mean).all() and np.isfinite(top.covariance).all()):
             raise Singular("the expansion about these parameters is not finite")
         mean, covariance = top.mean, top.covariance
-        target = _within(partial(among.step, point), point, mean, covariance)
+        target = within_bounds(partial(among.step, point), point, mean, covariance)
         evidence = float(logsumexp(by_size))
         cause = FittedHypothesis(
             effects,
@@ -142,7 +142,7 @@ def _refined(
             learned=learned(covariance, among.sd),
             far=0.5 * float((((target - among.mean) / among.sd) ** 2).sum()),
         )
-        return cause, _promised(among, point, mean, covariance)
+        return cause, promised_gain(among, point, mean, covariance)
 
     def descend(point: np.ndarray, path: Tensor, size: float, stiffness: float, most: int, fresh: bool = True) -> None:
         """Expand and move on, ``most`` times at most; the best stays.
@@ -196,7 +196,7 @@ def _refined(
     return replace(best, model=among.set_in(model, best.mean), plausible=among.plausible(best.mean))
 
 
-def _within(
+def within_bounds(
     bounded: Callable[[np.ndarray], np.ndarray], point: np.ndarray, mean: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray:
     """Where a step of N(mean, covariance) ends from ``point`` within bounds: at a bound, the others given that."""
@@ -216,16 +216,16 @@ def _within(
         target[free] = whole[free] + gain @ (within - whole)[at_bound]
 
 
-def _promised(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:
+def promised_gain(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:
     """Nats that the evidence of N(mean, covariance) about ``point`` has over what is seen there.
 
     That evidence is cut at the parameters' bounds, but not where a step is shortened for other reasons:
     ½ (|m|² − |m − x|²), where x is as much of the whole step m as bounds allow.
     """
-    allowed = _within(partial(np.clip, a_min=among.lower, a_max=among.upper), point, mean, covariance) - point
-    return max(0.5 * (_distance(mean, covariance) - _distance(mean - allowed, covariance)), 0.0)
+    allowed = within_bounds(partial(np.clip, a_min=among.lower, a_max=among.upper), point, mean, covariance) - point
+    return max(0.5 * (squared_distance(mean, covariance) - squared_distance(mean - allowed, covariance)), 0.0)
 
 
-def _distance(step: np.ndarray, covariance: np.ndarray) -> float:
+def squared_distance(step: np.ndarray, covariance: np.ndarray) -> float:
     """Squared length of a step in standard deviations of a Gaussian."""
     return float(step @ np.linalg.lstsq(covariance, step, rcond=None)[0]) if len(step) else 0.0

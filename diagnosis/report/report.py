@@ -62,7 +62,7 @@ def render(diagnosis: Diagnosis) -> str:
         clear=plain(diagnosis.rules.evidence.clear_dprime, 2),
         hidden_torque=not diagnosis.knows_torque,
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
-        visible=_visible(diagnosis),
+        visible=by_visibility(diagnosis),
         screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
         numbers=_numbers(diagnosis),
         method={name.replace("_", " "): text for name, text in diagnosis.method.items()},
@@ -226,7 +226,7 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _visible(diagnosis: Diagnosis) -> dict[str, list]:
+def by_visibility(diagnosis: Diagnosis) -> dict[str, list]:
     """Candidates by whether the recording could have shown them, with d′."""
     groups: dict[str, list] = {"yes": [], "faintly": [], "no": []}
     for v in sorted(diagnosis.visibility, key=lambda v: (-v.dprime if known(v.dprime) else 0.0, v.key)):

@@ -335,14 +335,14 @@ def screen_in_halves(
     workers: int, problem: DiagnosisProblem, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
-    halves = _halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
+    halves = halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
     one, *rest = side_by_side(
         [partial(screen, problem, model, path, half, *given) for half in halves], workers, problem.budget
     )
     return sorted([*one, *(s for other in rest for s in added(other))], key=lambda s: -s.log_evidence)
 
 
-def _halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
+def halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
     """Effects in two halves of equal cost, fewer than two in one: costliest first, to where less is (Graham 1969)."""
     halves: list[list[Effect]] = [[] for _ in costs[:2]] or [[]]
     filled = [0] * len(halves)

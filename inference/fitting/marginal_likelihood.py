@@ -138,7 +138,7 @@ class LogParameters(Generic[M]):
         return self.model.replace(**values)
 
 
-class _Objective(Generic[M]):
+class Objective(Generic[M]):
     """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
 
     def __init__(self, model: M, observations: Tensor, free: Sequence[Free], start: Tensor | None):
@@ -265,7 +265,7 @@ def fit(
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
         none, evidence = np.zeros(0), smoother.log_evidence.item()
         return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence)
-    objective = _Objective(model, observations, free, start)
+    objective = Objective(model, observations, free, start)
     reached: list[float] = []
 
     def report(intermediate_result: Any) -> None:
@@ -305,7 +305,7 @@ def fit(
     )
 
 
-def _laplace(objective: _Objective, hessian: np.ndarray) -> np.ndarray:
+def _laplace(objective: Objective, hessian: np.ndarray) -> np.ndarray:
     """Covariance of φ from the Hessian at the optimum; in no direction wider than the prior.
 
     In units of the prior's sd the prior alone has curvature 1. Where the evidence is not convex that stands in.

@@ -179,7 +179,7 @@ def _ascend(
         linear = linear or linearise(model, path, observations, here, slopes)
         step, candidate, there, reached = _tried(model, observations, path, linear, damping, scale)
         if (refused := (reached - merit < -tolerance) & ~done).any():
-            _, other, beyond, more = _tried(model, observations, path, _bent(linear, step, there), damping, scale)
+            _, other, beyond, more = _tried(model, observations, path, bent(linear, step, there), damping, scale)
             if (mended := refused & (more > reached)).any():
                 candidate = torch.where(torch.as_tensor(mended)[..., None, None], other, candidate)
                 reached = np.where(mended, more, reached)
@@ -220,7 +220,7 @@ def _tried(
     return step, candidate, there, np.where(finite, reached, -np.inf)
 
 
-def _bent(linear: Linearisation, step: np.ndarray, there: Deviations) -> Linearisation:
+def bent(linear: Linearisation, step: np.ndarray, there: Deviations) -> Linearisation:
     """``linear`` with the transitions' deviations as they are after a ``step`` (…, T, D), less its slopes' share."""
     a = there.a - (apply(linear.F, step[..., :-1, :]) - step[..., 1:, :])
     return replace(linear, a=np.where(np.isfinite(a).all((-2, -1), keepdims=True), a, linear.a))

@@ -34,7 +34,7 @@ from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 Mean = Callable[[StateSpaceModel, Tensor], Tensor]
 """From a model and states (…, T, D) to means (…, T, P)."""
 Fits = tuple[Tensor, Tensor, Tensor]
-"""Value, slope and error, as :func:`_regress` has them."""
+"""Value, slope and error, as :func:`regress` has them."""
 
 
 def posterior_linearisation(
@@ -93,11 +93,11 @@ class SharedMeans:
     def regressed(
         self, mean: Mean, centre: Tensor, root: Tensor, independent: Sequence[int], shown: Sequence[int]
     ) -> Fits:
-        """:func:`_regress` of a ``mean`` of the model, over the same N(centre, root rootᵀ) in all sets."""
+        """:func:`regress` of a ``mean`` of the model, over the same N(centre, root rootᵀ) in all sets."""
         if self.number is None:
-            return _regress(lambda x: mean(self.model, x), centre, root, independent, shown)
+            return regress(lambda x: mean(self.model, x), centre, root, independent, shown)
         sets = int(self.number.max()) + 1
-        value, slope, error = _regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], independent, shown)
+        value, slope, error = regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], independent, shown)
         return value[self.number], slope[self.number], error[self.number]
 
 
@@ -176,7 +176,7 @@ def _emissions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:
     return shared.regressed(lambda model, x: emission_mean(model, x, rows), path, root, independent, shown)
 
 
-def _regress(
+def regress(
     function: Callable[[Tensor], Tensor],
     mean: Tensor,
     root: Tensor,

@@ -7,7 +7,13 @@ import pytest
 from pendulum import ARM, LOOSE, recording_of
 from pyro.distributions import Normal
 
-from invdyn.diagnosis.assessment.symbolic_regression import LIBRARY, Motion, _library, _written, describe
+from invdyn.diagnosis.assessment.symbolic_regression import (
+    LIBRARY,
+    Motion,
+    describe,
+    library_of_terms,
+    written_coefficient,
+)
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
@@ -45,7 +51,7 @@ def test_a_cubic_spring_is_put_into_a_formula():
     assert unit in formula.text
     assert formula.gain_per_frame > 0
     # Whatever terms there are, they give about the torque that acted.
-    terms, features = _library(none, none.path)
+    terms, features = library_of_terms(none, none.path)
     values = {name: feature for (name, *_), feature in zip(terms, features, strict=True)}
     said = sum(c * values[name] for name, (c, *_) in formula.terms.items() if name.endswith(" on elbow"))
     angle = here.model.split(none.path)[1][:, 1].numpy()
@@ -101,7 +107,7 @@ def test_a_coefficient_is_as_sure_as_it_says(effect, seed, term, size, values):
     [(-0.29512, 0.00897, "-0.295 ± 0.009"), (1.0357, 1.4142, "+1.0 ± 1.4"), (1234.5, 123.0, "+1230 ± 120")],
 )
 def test_a_coefficient_has_the_digits_that_its_error_supports(mean, sd, told):
-    assert _written(mean, sd) == told
+    assert written_coefficient(mean, sd) == told
 
 
 def test_a_part_of_the_command_is_named_as_the_torque_alone():

@@ -10,7 +10,7 @@ from pendulum import ARM, DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, r
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.hypotheses.refine import _distance, _promised, _within, refine
+from invdyn.diagnosis.hypotheses.refine import promised_gain, refine, squared_distance, within_bounds
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import Regime
 from invdyn.diagnosis.problem.unknowns import Unknowns, unknowns
@@ -70,10 +70,10 @@ def test_a_step_that_meets_a_bound_is_the_best_within_it():
         root = generator.normal(size=(3, 3)) * among.sd[:, None]
         covariance, mean = root @ root.T, generator.normal(size=3) * among.sd
         point = among.lower + 0.3 * among.sd
-        found = _within(partial(among.step, point), point, mean, covariance)
+        found = within_bounds(partial(among.step, point), point, mean, covariance)
 
         def cost(z, mean=mean, covariance=covariance, point=point):
-            return _distance(point + mean - z * among.sd, covariance)
+            return squared_distance(point + mean - z * among.sd, covariance)
 
         best = minimize(cost, (found / among.sd), bounds=np.stack([among.lower, among.upper], -1) / among.sd[:, None])
         assert (found >= among.lower).all()
@@ -93,7 +93,9 @@ def test_what_is_promised_is_the_gain_within_bounds():
     sd = 0.1 * among.sd
     for inside, gain in ((2.0, 8.0), (0.0, 0.0)):
         point = among.lower + inside * sd
-        assert _promised(among, point, among.lower - 3 * sd - point, np.diag(sd**2)) == pytest.approx(gain, abs=1e-9)
+        assert promised_gain(among, point, among.lower - 3 * sd - point, np.diag(sd**2)) == pytest.approx(
+            gain, abs=1e-9
+        )
 
 
 def test_all_of_a_shortened_step_is_promised():
@@ -101,9 +103,11 @@ def test_all_of_a_shortened_step_is_promised():
     here = diagnosis_problem(recorded(), PENDULUM)
     among = unknowns(here, (EFFECTS["stribeck_friction"]("pivot").bound(PENDULUM),))
     covariance, whole = np.diag((0.1 * among.sd) ** 2), -0.9 * among.mean
-    halved = _within(partial(among.step, among.mean), among.mean, whole, covariance)
+    halved = within_bounds(partial(among.step, among.mean), among.mean, whole, covariance)
     assert halved == pytest.approx(among.mean / 2)
-    assert _promised(among, among.mean, whole, covariance) == pytest.approx(0.5 * _distance(whole, covariance))
+    assert promised_gain(among, among.mean, whole, covariance) == pytest.approx(
+        0.5 * squared_distance(whole, covariance)
+    )
 
 
 @cache

@@ -14,7 +14,7 @@ from invdyn.diagnosis.report import render, write_report
 from invdyn.diagnosis.report.drawing import Plot, path, thinned, ticks
 from invdyn.diagnosis.report.figures import residuals
 from invdyn.diagnosis.report.numbers import handy
-from invdyn.diagnosis.report.report import _visible
+from invdyn.diagnosis.report.report import by_visibility
 from invdyn.diagnosis.rules import DEFAULT, FIXED
 
 
@@ -96,8 +96,8 @@ def test_what_cannot_be_seen_is_by_one_measure():
     found = replace(two(), visibility=(Visibility("payload", "dynamics", 0.99 * DEFAULT.evidence.min_dprime),))
     text = render(found)
     assert f"Under {DEFAULT.evidence.min_dprime:.1f} the change cannot be seen" in text
-    assert _visible(found)["faintly"] == []
-    assert len(_visible(found)["no"]) == 1
+    assert by_visibility(found)["faintly"] == []
+    assert len(by_visibility(found)["no"]) == 1
 
 
 def test_unknown_torque_is_not_called_missing():

@@ -15,7 +15,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import prior_sd, unknowns
 from invdyn.diagnosis.rules import DEFAULT
-from invdyn.diagnosis.sensitivity.screen import _cost, _halved, screen, screen_in_halves, windows
+from invdyn.diagnosis.sensitivity.screen import _cost, halved, screen, screen_in_halves, windows
 from invdyn.diagnosis.sensitivity.whiten import linear_of
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
@@ -134,7 +134,7 @@ def test_halves_are_a_ranking_of_the_whole():
 def test_halves_take_as_long_as_each_other():
     here = diagnosis_problem(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
     costs = {e.key: _cost(e, here.model) for e in considered(here) if not is_searched(e)}
-    one, other = _halved([(e, costs[e.key]) for e in considered(here) if e.key in costs])
+    one, other = halved([(e, costs[e.key]) for e in considered(here) if e.key in costs])
     assert sorted(e.key for e in (*one, *other)) == sorted(costs)
     taken = [sum(costs[e.key] for e in half) for half in (one, other)]
     assert max(costs.values()) > 5 * min(costs.values())  # which is what makes it hard

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from stiff_arm import arm
 
 from invdyn.inference import Free, fit
-from invdyn.inference.fitting.marginal_likelihood import _Objective
+from invdyn.inference.fitting.marginal_likelihood import Objective
 from invdyn.inference.smoothing import posterior_linearisation
 from invdyn.inputs import load_body
 from invdyn.models import Keypoints, Observation
@@ -60,7 +60,7 @@ def differences(function, phi, h=1e-3):
 @pytest.mark.parametrize("phi", [[0.0, 0.0], [0.4, -0.3], [-0.7, 0.5]])
 def test_value_gradient_and_hessian_are_the_kalman_filters(chain, y, phi):
     phi = np.array(phi)
-    objective = _Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None)
+    objective = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None)
     exact = negative_log_posterior(chain, y)
     gradient, hessian = differences(exact, phi)
     assert objective.value(phi) == pytest.approx(exact(phi), abs=1e-6)
@@ -153,7 +153,7 @@ def test_where_the_evidence_is_not_convex_no_parameter_is_wider_than_its_prior(c
     prior = {"transition_root": 2.0, "emission_root": 0.3}
     free = [Free(name, tied=True, sd=sd) for name, sd in prior.items()]
     found = fit(start, torch.as_tensor(y), free, max_iterations=1)
-    hessian = _Objective(start, torch.as_tensor(y), free, found.path).hessian(found.phi)
+    hessian = Objective(start, torch.as_tensor(y), free, found.path).hessian(found.phi)
     assert np.linalg.eigvalsh(hessian).min() < 1 / 0.3**2
     assert all(found.log_sd[name] <= sd * (1 + 1e-9) for name, sd in prior.items())
 
@@ -167,18 +167,18 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
     free += [Free("body.mass", entries=(1,)), Free("body.length")]
     phi = 0.1 * np.arange(8.0)
     fitted = []
-    regress = posterior_linearisation._regress
+    regress = posterior_linearisation.regress
 
     def counted(mean, centre, *others):
         fitted.append(len(centre) if centre.ndim == 3 else 0)
         return regress(mean, centre, *others)
 
-    monkeypatch.setattr(posterior_linearisation, "_regress", counted)
-    shared = _Objective(model, rows, free, None)._expand(phi)
+    monkeypatch.setattr(posterior_linearisation, "regress", counted)
+    shared = Objective(model, rows, free, None)._expand(phi)
     each = 1 + len(free)
     assert fitted[-4:] == [each, each, 1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
-    monkeypatch.setattr(_Objective, "_shared_means", lambda *_: (None, None))
-    for one, other in zip(shared, _Objective(model, rows, free, None)._expand(phi), strict=True):
+    monkeypatch.setattr(Objective, "_shared_means", lambda *_: (None, None))
+    for one, other in zip(shared, Objective(model, rows, free, None)._expand(phi), strict=True):
         # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
@@ -200,7 +200,7 @@ def test_with_heavy_tails_the_curvature_is_that_of_evidences_each_at_its_own_mod
     """That of rows in place of a Student-t's is an eighth too sharp here; before cameras it had the wrong sign."""
     torch.manual_seed(0)
     model = arm(60, 0.02, observation=Observation(Keypoints([0, 1]), family="student_t"))
-    objective = _Objective(model, model.simulate()[1], [Free("body.length", sd=0.3)], None)
+    objective = Objective(model, model.simulate()[1], [Free("body.length", sd=0.3)], None)
     middle, steps = np.zeros(2), 0.01 * np.eye(2)
     objective.value(middle)
     values = [[objective.value(sign * step) for sign in (-1, 0, 1)] for step in steps]
@@ -211,14 +211,14 @@ def test_with_heavy_tails_the_curvature_is_that_of_evidences_each_at_its_own_mod
 
 def failing(monkeypatch, fails):
     """Have the expansion give a slope that is no number where ``fails`` holds of φ; returns where it was taken."""
-    expand, taken = _Objective._expand, []
+    expand, taken = Objective._expand, []
 
     def expanded(self, phi):
         value, gradient, hessian = expand(self, phi)
         taken.append(phi)
         return value, gradient * (np.nan if fails(phi) else 1.0), hessian
 
-    monkeypatch.setattr(_Objective, "_expand", expanded)
+    monkeypatch.setattr(Objective, "_expand", expanded)
     return taken
 
 

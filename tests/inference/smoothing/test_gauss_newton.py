@@ -134,7 +134,7 @@ def test_a_whole_step_that_is_hardly_a_difference_ends_the_search(monkeypatch):
     for name in looked:
         counted(name)
     with monkeypatch.context() as uncorrected:  # a whole step is a loss from there
-        uncorrected.setattr(room, "_bent", lambda linear, *_: linear)
+        uncorrected.setattr(room, "bent", lambda linear, *_: linear)
         assert torch.equal(steps_from(away, 1, 1e-6)[0], away)
     path, steps, slopes = steps_from(away, 10, 1e9)
     assert torch.equal(path, away)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from invdyn.inference import gauss_newton, posterior_linearisation
-from invdyn.inference.smoothing.posterior_linearisation import _regress, fit_linear
+from invdyn.inference.smoothing.posterior_linearisation import fit_linear, regress
 from invdyn.models import StateSpaceModel
 
 F64 = torch.float64
@@ -38,7 +38,7 @@ def test_the_regression_is_that_of_the_moments():
     def function(x):
         return x @ linear.mT + torch.einsum("pij,...i,...j->...p", curve, x, x)
 
-    value, slope, error = _regress(function, centre, root)
+    value, slope, error = regress(function, centre, root)
     cov = root @ root.mT
     both = curve + curve.mT
     expected = function(centre) + torch.einsum("pij,ij->p", curve, cov)
@@ -46,7 +46,7 @@ def test_the_regression_is_that_of_the_moments():
     torch.testing.assert_close(slope, linear + torch.einsum("pij,j->pi", both, centre))
     # what is left over is no less than zero, and none for a linear function
     assert torch.linalg.eigvalsh(error @ error.mT).min() > -1e-12
-    _, flat, none = _regress(lambda x: x @ linear.mT, centre, root)
+    _, flat, none = regress(lambda x: x @ linear.mT, centre, root)
     torch.testing.assert_close(flat, linear)
     assert none.abs().max() < 1e-12
 
