@@ -62,7 +62,7 @@ def _end_with(parent: int) -> None:
 
 
 def main() -> None:
-    """Serve stdin. All printing goes to stderr: stdout is the pipe for replies."""
+    """Serve stdin. All printing is sent to stderr: stdout is the pipe for replies."""
     Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

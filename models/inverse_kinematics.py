@@ -28,7 +28,7 @@ STARTS, LADDER = 64, 60
 NUDGE = 1e-5
 """Of a coordinate, rad or m, for slopes by central differences."""
 FAR = 10.0
-"""Standard deviation of a coordinate about zero, rad or m: what nobody sees stays there."""
+"""Standard deviation of a coordinate about zero, rad or m: what no sensor sees stays there."""
 HUBER, ROUNDS = 3.0, 3
 """Standard deviations beyond which a column weighs less, and times a row is linearised."""
 
@@ -118,8 +118,8 @@ def first_pose(body: Body, rows: np.ndarray, seen: Seen, noise: np.ndarray, enco
     starts = np.where(np.isfinite(read), read, starts)
     poses, cost = _solved(row, seen, noise, starts, np.zeros(len(turns)))
     poses = np.where(turns & np.isnan(read), (poses + np.pi) % (2 * np.pi) - np.pi, poses)
-    alike = poses[cost <= 1.1 * cost.min() + 5.0]
-    return min(alike, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
+    equal = poses[cost <= 1.1 * cost.min() + 5.0]
+    return min(equal, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
 
 
 def beyond(body: Body, pose: np.ndarray) -> int:
@@ -171,7 +171,7 @@ def _motion(dt: float, agility: np.ndarray, count: int) -> tuple[np.ndarray, np.
 def _updated(
     mean: np.ndarray, cov: np.ndarray, row: np.ndarray, seen: Seen, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States (C, 2 K) with a row (O,) taken in, linearised anew where it led to."""
+    """States (C, 2 K) with a row (O,) taken in, linearised again at the result."""
     known, count = np.isfinite(row), mean.shape[-1] // 2
     if not known.any():
         return mean, cov
@@ -209,7 +209,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (S, K) that explain a row (O,), or one (S, O) each, by Levenberg and Marquardt from starts; costs (S,).
 
-    What nobody sees is held to within ``FAR`` ``about`` a pose.
+    What no sensor sees stays within ``FAR`` ``about`` a pose.
     """
     known = np.isfinite(rows)
     poses, damping = starts.copy(), np.full(len(starts), 1.0)

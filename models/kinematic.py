@@ -1,4 +1,4 @@
-"""A body that moves by chance: forward kinematics of coordinates that walk, watched by sensors. No force is asked for.
+"""A body that moves by chance: forward kinematics of coordinates that walk, watched by sensors. No force is inferred.
 
 Biderman et al. (2020), the analysis of the mouse. Of order 1 coordinates walk, of order 2 (the default) velocities do,
 

@@ -9,7 +9,7 @@ with nearly constant angular velocity,
     φ' = φ + δ ω,   ω' = ω + q √δ η,   measured φ wrapped to within half a turn of its prediction,
 
 unwraps it where plain frame-to-frame unwrapping slips (fast limbs, coarse frames, noise), and its
-Rauch–Tung–Striebel smoother bridges what was not seen. Several q are tried side by side. A stray
+Rauch–Tung–Striebel smoother bridges what was not seen. Several q are tried side by side. An outlying
 detection can throw ω so far that φ then gains whole turns from frame to frame, which a camera
 cannot deny: where that happens, and need not, what is far from its prediction is left out. None
 of this enters the likelihood.
@@ -31,7 +31,7 @@ from invdyn.models.inverse_kinematics import pose_candidates
 from invdyn.models.observation.observation import Observation
 
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
-"""q, rad/s/√s, from a slow robot to a whirling limb: a prior about limbs, whatever gravity and lengths are."""
+"""q, rad/s/√s, from a slow robot to a whirling limb: a prior about limbs, for any gravity and lengths."""
 GATE = 4.0
 """Standard deviations from its prediction beyond which an angle is left out, where what strays matters."""
 
@@ -159,7 +159,7 @@ def _whirls(angles: np.ndarray) -> np.ndarray:
 
 
 def within_half_a_turn(angles: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
-    """Joint angles (..., T, K) less whole turns: those that nobody counted begin in [−π, π], as joints do.
+    """Joint angles (..., T, K) less whole turns: those that no encoder counted begin in [−π, π], as joints do.
 
     Two links in that range may be up to a turn apart. ``wrapped`` (T, K) as of :func:`link_angles`.
     """

@@ -54,7 +54,7 @@ ENTRIES = (
     CatalogueEntry(
         CoulombFriction,
         phrase="Coulomb friction",
-        meaning="a torque of one size against the motion, whatever the speed",
+        meaning="a torque of one size against the motion, at any speed",
         shown_by="slow reversals at several amplitudes",
         variants=(CREEPING, BRISTLES),
         starts={"load_friction": at_level},
@@ -93,7 +93,7 @@ ENTRIES = (
         QuadraticDrag,
         phrase="quadratic drag",
         meaning="a torque against the motion that grows with the square of speed",
-        shown_by="fast, large motion beside slow motion",
+        shown_by="fast, large motion as well as slow motion",
     ),
     CatalogueEntry(
         DriftingFriction,

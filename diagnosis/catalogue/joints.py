@@ -18,7 +18,7 @@ from invdyn.models.effects.torque_ripple import TorqueRipple
 
 Shown = dict[str, tuple[Tensor, str]]
 
-CONSTANT = "such a spring is a constant torque, as of an encoder that is off beside a servo; the catalogue has none"
+CONSTANT = "such a spring is a constant torque, as of a servo's encoder that is off; the catalogue has none"
 """What a rest angle means that is as large as may be reported."""
 
 

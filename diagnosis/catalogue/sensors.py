@@ -55,7 +55,7 @@ ENTRIES = (
     CatalogueEntry(
         KeypointOffset,
         phrase="a keypoint offset",
-        meaning="a marker that sits beside its joint",
+        meaning="a marker that is not at its joint",
         shown_by="a measured length of the link",
     ),
     CatalogueEntry(

@@ -50,7 +50,7 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
     noise = np.maximum(by_joint, motion.rules.check.min_noise_share) * np.maximum(size, 0.01 * size.max())
     X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
     rows = X.reshape(len(X), -1).T
-    # Columns that say the same are told apart by their order, and not by rounding.
+    # Columns that say the same are ordered by their place, and not by rounding.
     later = 1 + FIXED.negligible * np.arange(len(X))
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300) * later
     moved = scale > FIXED.negligible * scale.max()

@@ -92,7 +92,7 @@ def correlation(errors: np.ndarray) -> tuple[float, float]:
 def along_motion(errors: np.ndarray, cause: FittedHypothesis) -> tuple[float, float]:
     """Share of the keypoints' errors that are larger along the motion than across; and its sd under no preference.
 
-    Whatever their sizes and distribution, of ``errors`` (T, O). Of the faster half of all detections: at rest there is
+    Of ``errors`` (T, O) of any size and distribution. Of the faster half of all detections: at rest there is
     no direction; of encoders alone, nor is there any.
     """
     if cause.model.observation.keypoints is None:

@@ -23,7 +23,7 @@ and 1 + λ_i the eigenvalues of diag(s) Σ⁻¹ diag(s),
 so that parameters which are known well, or far from what was expected, cost what they do without tempering. Small gaps
 are weighed as they are. Of large ones no more than α nats count, however many rows there are. For the parameters of one
 cause α is larger. It is such that .90 of 740 intervals of opened blind runs hold the truth; of sealed ones after it
-.936 of 311 and .904 of 312 do. Stray detections, whose thousands of nats nothing else imitates, have a ζ of their own
+.936 of 311 and .904 of 312 do. Outliers, whose thousands of nats nothing else imitates, have a ζ of their own
 (:meth:`.pool.HypothesisPool.score`).
 """
 

@@ -1,6 +1,6 @@
 """`report.html`: one page, without anything from outside, that tells a person in a minute what was found.
 
-Same diagnosis, same bytes. Whatever a file contained (names of joints, keypoints, recordings) is escaped by the
+Same diagnosis, same bytes. All that a file contained (names of joints, keypoints, recordings) is escaped by the
 template; beyond that the page's content security policy lets only the one script run whose digest it carries, and no
 request out.
 """

@@ -265,7 +265,7 @@ def left(diagnosis: Diagnosis) -> list[str]:
         if len(group) > 1:
             words = [key_words(key, diagnosis) for key in group]
             shares = [share for one, other, share in diagnosis.overlaps if {one, other} <= set(group)]
-            similar = "" if not shares else f" (the changes that they predict are {_range(shares)} alike)"
+            similar = "" if not shares else f" (the changes that they predict are {_range(shares)} correlated)"
             found.append(f"{named(words)} all remain probable: this recording cannot tell them apart{similar}.")
     return [f"{s[0].upper()}{s[1:]}" for s in found]
 

@@ -6,13 +6,13 @@ Biderman et al. (2020), eqs. 1–5. State x = (z, θ, θ̇), with τ = z[:K] the
     θ̈ = D(θ)⁻¹ (τ + u − c(θ) − h(θ, θ̇))
     x_t = integrate(x_{t−1}, δ) + noise,   y_t ~ observation(θ_t)
 
-u is the commanded torque, held between rows; without one, τ is the whole net torque. Effects
+u is the commanded torque, constant between rows; without one, τ is the whole net torque. Effects
 (:mod:`invdyn.models.effects`), what a real arm has and an ideal one lacks, change any of it. The
 noise of θ and θ̇ is "noise.angle" ε_θ (rad) and "noise.velocity" ε_θ̇ (rad/s), standard
 deviations per step, as printed in the paper.
 
 Within a step the mechanical integrator sees the torque move on a straight line from z to its
-mean one step later; explicit Euler sees it held, as printed.
+mean one step later; explicit Euler takes it as constant, as printed.
 
 The model is composed: :mod:`.timeline` the rows' clocks, :mod:`.drive` commands and motors, :mod:`.step` the mechanics
 of a row, :mod:`.transition` how states go on, made as :mod:`.state` says, :mod:`.observation_model` what is seen of
@@ -67,7 +67,7 @@ class ArmModel(StateSpaceModel):
         time: (T,) s, increasing; need not be regular.
         observation: what is observed; by default keypoints at all sites.
         torque: torque process; Ornstein–Uhlenbeck by default.
-        command: (T, K) N·m, held from each row to the next, or None.
+        command: (T, K) N·m, constant from each row to the next, or None.
         dynamics: "traced" (default), or of a planar chain "symbolic", the paper's own derivation by SymPy.
         integrator: "rk4" (default), "euler" (as printed) or "semi_implicit".
         substeps: integrator steps per row.
@@ -154,7 +154,7 @@ class ArmModel(StateSpaceModel):
 
     @property
     def dt(self) -> Tensor:
-        """(T,) s; dt[t] leads into row t."""
+        """(T,) s; dt[t] is the step that ends at row t."""
         return self.timeline.dt
 
     @property
@@ -232,7 +232,7 @@ class ArmModel(StateSpaceModel):
 
     # -- the same body under other circumstances -------------------------------------------------
     def _with(self, **parts: Any) -> Self:
-        """The model with other parts, and what follows from them made anew."""
+        """The model with other parts, and what follows from them computed again."""
         other = copy.copy(self)
         for name in DERIVED:
             other.__dict__.pop(name, None)
@@ -269,7 +269,7 @@ class ArmModel(StateSpaceModel):
         move the body come before states that follow it. They add the parameters "initial.hidden.<effect>" and
         "noise.hidden.<effect>": standard deviations (H,) of ψ, rad, and ψ̇, rad/s.
 
-        Raises ValueError for a place that the body lacks or nobody tracks, for one effect twice at a place, for an
+        Raises ValueError for a place that the body lacks or no sensor tracks, for one effect twice at a place, for an
         effect of the plane on a body in space, and for a second effect whose hidden states move the body.
         """
         bound = tuple(effect.bound(self.body) for effect in effects)
@@ -287,7 +287,7 @@ class ArmModel(StateSpaceModel):
         return other
 
     def in_engine_steps(self) -> "ArmModel":
-        """The model as the engine that its file names plays it, in steps of first order (:class:`.FiledStep`)."""
+        """The model as the engine that its file names simulates it, in steps of first order (:class:`.FiledStep`)."""
         return self._with(effects=Composition(tuple(self.effects), (*self.effects.filed, *engine_steps(self.body))))
 
     def in_substeps(self, count: int, abrupt: int | None = None) -> "ArmModel":
@@ -303,7 +303,7 @@ class ArmModel(StateSpaceModel):
         return self._with(observation=own, parameters={**self.parameters, **new})
 
     def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
-        """The model under a command (C, K) N·m held between times (C,) s of its own, finer than the rows.
+        """The model under a command (C, K) N·m, constant between times (C,) s of its own, finer than the rows.
 
         ``command`` becomes its mean over each row. It may begin before the first row.
         """
@@ -320,7 +320,7 @@ class ArmModel(StateSpaceModel):
         return self._with(experience=replace(self.experience, range=turned))
 
     def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
-        """The model of several recordings one after another: at ``rows`` (R,) the body starts anew.
+        """The model of several recordings one after another: at ``rows`` (R,) the body starts again.
 
         There the state does not follow from the row before, but is drawn as the first one is, with angles within
         about half a turn of ``angle`` (R, K) rad.
@@ -337,8 +337,8 @@ class ArmModel(StateSpaceModel):
     def independent_sensor_states(self) -> tuple[list[int], list[int]] | None:
         """The sensors' own states that show in one entry; see :attr:`.StateSpaceModel.independent_sensor_states`."""
         own, shown = self.observation.independent_states
-        begun = self.layout.torque + self.layout.hidden
-        return ([begun + state for state in own], shown) if own else None
+        first = self.layout.torque + self.layout.hidden
+        return ([first + state for state in own], shown) if own else None
 
     @property
     def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say

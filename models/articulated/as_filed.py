@@ -1,14 +1,14 @@
 """What a body's file gives its joints besides hinges, as parts of the simulation: :mod:`..bodies.joint_parts`.
 
-Played by the hooks that effects have, so that an effect of the catalogue adds to them: friction of .2 N·m at a joint
+Computed by the stages that effects have, so that an effect of the catalogue adds to them: friction of .2 N·m at a joint
 whose file says .1 is a change of +.1. They have no place in a search. Their numbers are the model's "body.damping" and
 so on, (..., K), which stand as the file has them, or are learned where it calls them uncertain.
 
 A servo's command is the torque that its target alone asks for, K c + u₀ (:func:`servo_torque`), which effects on motors
 delay or change as any; its stiffness and damping answer to the angle and the velocity here.
 
-A file may name the engine that plays it, in steps of first order. What those do to a log is known, and is played only
-where a recording is taken for that engine's (:meth:`.ArmModel.in_engine_steps`).
+A file may name the engine that simulates it, in steps of first order. What those do to a log is known, and is
+simulated only where a recording is taken for that engine's (:meth:`.ArmModel.in_engine_steps`).
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ class FiledFriction(Filed):
 
 
 class FiledLimit(Filed):
-    """The limits of a motor that is told torques."""
+    """The limits of a motor whose command is a torque."""
 
     order = -2
 
@@ -80,7 +80,7 @@ class FiledServo(Filed):
     """What a servo answers to angle and velocity, −S θ − D θ̇; with its target's torque it keeps to its limits."""
 
     def answer(self, p: Values, now: Situation) -> Tensor:
-        """−S θ − D θ̇, cut where the whole reaches a limit; a torque that nobody commands is not the motor's."""
+        """−S θ − D θ̇, cut where the whole reaches a limit; a torque that no command gives is not the motor's."""
         j, motor = self.place[0], self.parts.servo
         assert motor is not None
         own = -motor.stiffness * self.own(now.q) - motor.damping * self.own(now.qd)

@@ -1,6 +1,6 @@
 """What drives a body: commands, and what its motors make of them.
 
-A command (T, K) N·m is held from each row to the next, or one of finer times is held between those. Effects on motors,
+A command (T, K) N·m is constant from each row to the next, or between finer times of its own. Effects on motors,
 such as a gain or a delay, make another of it, a straight line within each row (:mod:`invdyn.models.effects.command`).
 """
 
@@ -23,7 +23,7 @@ class Drive:
     """Known torques.
 
     Attributes:
-        command: (T, K) N·m, of each row the mean until the next; None where nobody commands.
+        command: (T, K) N·m, of each row the mean until the next; None without a command.
         finer: the same as it was given at other times than the rows', or None.
     """
 
@@ -32,7 +32,7 @@ class Drive:
 
     @classmethod
     def held(cls, command: np.ndarray | Tensor | None, shape: tuple[int, int]) -> Self:
-        """A command of ``shape`` (T, K) that is held within rows, or none. Raises ValueError for another shape."""
+        """A command of ``shape`` (T, K) that is constant within rows, or none. Raises ValueError for another shape."""
         if command is None:
             return cls()
         given = torch.as_tensor(np.asarray(command, dtype=np.float64))
@@ -41,7 +41,7 @@ class Drive:
         return cls(given)
 
     def driven_by(self, time: Tensor, torque: Tensor, rows: Tensor) -> Self:
-        """Under a command (C, K) N·m held between times (C,) s, for rows at times ``rows`` (T,)."""
+        """Under a command (C, K) N·m, constant between times (C,) s, for rows at times ``rows`` (T,)."""
         finer = Command.held(time, torque).to(rows.device)
         return replace(self, command=finer.onto(rows).mean, finer=finer)
 
@@ -54,7 +54,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Motors:
-    """What motors with these parameters make of a command, once it is asked for."""
+    """What motors with these parameters make of a command; computed once, at first use."""
 
     drive: Drive
     timeline: Timeline
@@ -75,7 +75,7 @@ class Motors:
         torque = time.new_zeros(len(time), self.joints) if given is None else given
         held = self.drive.finer or Command.held(time, torque)
         if self.effects.has_command:
-            # In float64, whatever the states' type: times are long and steps short.
+            # In float64, as times are long and steps short, in states of either type.
             held = self.effects.command({name: value.double() for name, value in self.parameters.items()}, held)
         held = held if held.time is time else held.onto(time)
         return Command(held.time, held.mean.to(self.dtype), held.slope.to(self.dtype))
@@ -111,7 +111,7 @@ class RowDrive:
         clock: of the row in which it begins.
         interval, dt: s, (..., 1), what the row is said to last, and what it lasts.
         parts: sub-steps.
-        unknown, drift: of start and change the torque process's part; None, where servos need not be told.
+        unknown, drift: of start and change the torque process's part; None, where servos need no command.
     """
 
     start: Tensor
@@ -124,16 +124,16 @@ class RowDrive:
     unknown: Tensor | None = None
     drift: Tensor | float = 0.0
 
-    def told(self, s: float | Tensor) -> Tensor:
+    def commanded(self, s: float | Tensor) -> Tensor:
         """Of :meth:`motor` what was commanded."""
         torque = self.motor(s)
         return torque if self.unknown is None else torque - self.unknown - s * self.drift
 
     def motor(self, s: float | Tensor) -> Tensor:
-        """The torque a share ``s`` of the row after it has begun."""
+        """The torque a share ``s`` of the row after its start."""
         return self.start + s * self.change
 
 
 def _since_the_first(t: Row) -> Row:
-    """The row that led into row ``t``; of the first one, which none did, the one that leads on."""
+    """The row before row ``t``; of the first row, the one after it."""
     return t.clamp_min(1) if isinstance(t, Tensor) else max(t, 1)

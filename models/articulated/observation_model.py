@@ -1,6 +1,6 @@
 """What is seen of a body at a row: its sites in its state, what effects make of them, and the sensors' distribution.
 
-Effects on what is seen may ask how the body moves about the row: its accelerations, and where its joints are so many
+Effects on what is seen may need how the body moves about the row: its accelerations, and where its joints are so many
 seconds τ later, to third order,
 
     θ(t + τ) ≈ θ + τ θ̇ + ½ τ² θ̈(t + τ/3),

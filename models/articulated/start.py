@@ -27,7 +27,7 @@ class Watched(Protocol):
 
 
 class Articulated(Watched, Protocol):
-    """What is asked of a model here; :class:`.arm.ArmModel` is one."""
+    """What a model has to give here; :class:`.arm.ArmModel` is one."""
 
     torque: TorqueProcess
 

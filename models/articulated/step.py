@@ -1,7 +1,7 @@
 """A body's mechanics from one row to the next, in sub-steps: its dynamics, what effects add, and the integrator.
 
-Within a row the torque process moves on a straight line from z to its mean one row later, under a command that is held
-or moves as the motors make it (:class:`.drive.RowDrive`). Effects act in the order
+Within a row the torque process moves on a straight line from z to its mean one row later, under a command that
+is constant or moves as the motors make it (:class:`.drive.RowDrive`). Effects act in the order
 
     motors, forces, inertias of the joints    as the integrator asks for them
     dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
@@ -110,27 +110,27 @@ class Mechanics:
         return tip_motion(q, qd, drive.body)
 
     def _integrated(self, drive: RowDrive, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
-        """The body one row later; dry friction is held within sub-steps."""
+        """The body one row later; dry friction is constant within sub-steps."""
         spans = drive.parts if self.effects.has_friction else 1
         for i in range(spans):
             q, qd = self._span(drive, q, qd, i / spans, 1 / spans, drive.parts // spans)
         return q, qd
 
     def _span(
-        self, drive: RowDrive, q: Tensor, qd: Tensor, begun: float, share: float, steps: int
+        self, drive: RowDrive, q: Tensor, qd: Tensor, start: float, share: float, steps: int
     ) -> tuple[Tensor, Tensor]:
         """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
         held: Tensor | float = 0.0
         off = first = None
         if self.effects.has_friction:
-            torque, own, now = self.smooth(drive, q, qd, begun)
+            torque, own, now = self.smooth(drive, q, qd, start)
             assert now is not None  # effects ask for it
             held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
 
         def acceleration(q: Tensor, qd: Tensor, s: float) -> Tensor:
             if first is not None and not s:
                 return first
-            torque, own, _ = self.smooth(drive, q, qd, begun + share * s)
+            torque, own, _ = self.smooth(drive, q, qd, start + share * s)
             return self.dynamics.forward(q, qd, torque + held, drive.body, own)
 
         q, qd = INTEGRATORS[self.integrator](acceleration, q, qd, share * drive.dt, steps)
@@ -176,7 +176,7 @@ class Mechanics:
     ) -> tuple[Tensor, Tensor | None, Situation | None]:
         """Torque of motors and effects but dry friction, and the joints' own inertias, (..., K); the situation.
 
-        A share ``s`` of the row after it has begun.
+        A share ``s`` of the row after its start.
         """
         if not self.effects:
             return drive.motor(s), None, None
@@ -187,10 +187,10 @@ class Mechanics:
         return now.motor + self.effects.force(self.parameters, now), own, now
 
     def now(self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor) -> Situation:
-        """The moment a share ``s`` of the row after it has begun."""
+        """The moment a share ``s`` of the row after its start."""
         time, elapsed = (reading + s * drive.interval for reading in drive.clock)
         step = drive.dt / drive.parts
-        motor, commanded = drive.motor(s), drive.told(s) if self.effects.has_servo else None
+        motor, commanded = drive.motor(s), drive.commanded(s) if self.effects.has_servo else None
         return Situation(q, qd, motor, time, elapsed, step, drive.body, self.dynamics, commanded=commanded)
 
     def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:

@@ -1,6 +1,6 @@
 """The rows' clocks: when each row is, how long its step lasts, and since when what came before it is known.
 
-Shapes: T rows; of a row's clocks (..., 1), to stand beside joint quantities.
+Shapes: T rows; of a row's clocks (..., 1), which broadcast with joint quantities.
 """
 
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ class Timeline:
 
     Attributes:
         time: (T,) s, increasing.
-        dt: (T,) s; dt[t] leads into row t. Row 0 has no step of its own and stands for the stationary law.
+        dt: (T,) s; dt[t] is the step that ends at row t. Row 0 has none and stands for the stationary law.
         elapsed: (T,) s since the first row.
         since: (T,) s since what acted before is known: the first row of a recording, or of its commands.
-        anew: rows (T,) at which another recording starts; None where there is one.
+        restarts: rows (T,) at which another recording starts; None where there is one.
         middle: (T, K) rad, angles about which it may start there.
     """
 
@@ -32,7 +32,7 @@ class Timeline:
     dt: Tensor
     elapsed: Tensor
     since: Tensor
-    anew: Tensor | None = None
+    restarts: Tensor | None = None
     middle: Tensor | None = None
 
     @classmethod
@@ -61,7 +61,7 @@ class Timeline:
         first[list(rows)], middle[list(rows)] = True, angle.double()
         first, middle = first.to(self.time.device), middle.to(self.time.device)
         began = torch.where(first, self.time, -torch.inf).cummax(0).values
-        return replace(self, anew=first, middle=middle, since=torch.minimum(self.since, self.time - began))
+        return replace(self, restarts=first, middle=middle, since=torch.minimum(self.since, self.time - began))
 
     def interval(self, t: Row, dtype: torch.dtype) -> Tensor:
         """What the step into row ``t`` is said to last, s, (..., 1)."""

@@ -1,4 +1,4 @@
-"""How a state goes on from one row to the next: the law of x_0, and of x_t given x_{t−1}.
+"""How a state moves from one row to the next: the law of x_0, and of x_t given x_{t−1}.
 
     z' = E[z_t | z],   (hidden, θ, θ̇)' = one row of the mechanics,   x_t ~ N(·, diag(L Lᵀ, sds²))
 
@@ -47,7 +47,7 @@ class Transition:
     def initial(self) -> Distribution:
         """z_0 stationary, θ_0 and θ̇_0 Gaussian; event shape (D,)."""
         p = self.mechanics.parameters
-        return self._begun(p["initial.angle"], p["initial.velocity"], p["initial.angle_scale"])
+        return self._initial(p["initial.angle"], p["initial.velocity"], p["initial.angle_scale"])
 
     def following(self, state: Tensor, t: Row) -> Distribution:
         """x_t given x_{t−1} = ``state``; event shape (D,)."""
@@ -58,12 +58,12 @@ class Transition:
         memory = self.observation.transition_sd(self._lasts(t), p) if self.layout.memory else []
         sds = self._with_hidden("noise.hidden", memory, p["noise.angle"], p["noise.velocity"])
         moved = self.layout.gaussian(self.mean(state, t), root, sds)
-        if self.timeline.anew is None or self.timeline.middle is None:
+        if self.timeline.restarts is None or self.timeline.middle is None:
             return moved
         # As the first row is, within about half a turn of some angles.
         middle = self.timeline.middle[t]
-        begun = self._begun(middle, torch.zeros_like(middle), torch.full_like(middle, np.pi))
-        return self.layout.one_or_other(self.timeline.anew[t], begun, moved)
+        first = self._initial(middle, torch.zeros_like(middle), torch.full_like(middle, np.pi))
+        return self.layout.one_or_other(self.timeline.restarts[t], first, moved)
 
     def mean(self, state: Tensor, t: Row) -> Tensor:
         """E[x_t | x_{t−1} = state]."""
@@ -76,15 +76,15 @@ class Transition:
         return join(z_next, *bent, q_next, qd_next)
 
     def late(self, t: Row) -> Tensor | None:
-        """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t`` and nobody was told.
+        """Sd (..., K), N·m, of what motors that act late still do in the step into row ``t``, which no command says.
 
         None where there are none, or where a recording begins with what it knows.
         """
         effects, p = self.mechanics.effects, self.mechanics.parameters
         if not (effects.has_late and self.torque.underway):
             return None
-        begun = self.timeline.since[t - 1].to(self.motors.dtype).unsqueeze(-1)
-        return effects.late(p, begun, self.layout.joints) * self.torque.unsettled(self._lasts(t), p)
+        elapsed = self.timeline.since[t - 1].to(self.motors.dtype).unsqueeze(-1)
+        return effects.late(p, elapsed, self.layout.joints) * self.torque.unsettled(self._lasts(t), p)
 
     def _driven(self, z: Tensor, z_next: Tensor, t: Row) -> RowDrive:
         joints, dtype = self.layout.joints, self.motors.dtype
@@ -95,7 +95,7 @@ class Transition:
         times = self.timeline.clock(t - 1, dtype), self.timeline.interval(t, dtype), self._lasts(t)
         return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts, unknown, drift)
 
-    def _begun(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
+    def _initial(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
         p = self.mechanics.parameters
         root = self.torque.stationary(self.timeline.interval(0, self.motors.dtype), p)
         sds = self._with_hidden(

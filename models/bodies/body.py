@@ -55,7 +55,7 @@ class Body(FromFiles, BodyBase):
 
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
     not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia
-    tensors that break the triangle inequality where that plays a part, and in the plane for what is no chain of sticks.
+    tensors that break the triangle inequality where that matters, and in the plane for what is no chain of sticks.
     """
 
     name: str

@@ -8,7 +8,7 @@ With the hinges' common axis n, what moves together is one link, of
 
 No other moment is looked at: a tensor may break the triangle inequality in directions that the plane never uses. The
 plane is (x, z) for hinges about y, (x, y) about z, (y, z) about x: the recording's x and y. Angles need no conversion:
-ours are Denavit–Hartenberg, seen in the picture, whatever pose the file calls zero. A robot's own
+ours are Denavit–Hartenberg, seen in the picture, in any zero pose of the file. A robot's own
 angles are q = ±(θ − θ₀), where they are wanted. θ₀ is the angle of the link where the file's own angles are 0. The sign
 is − for a hinge about the axis that points away from the viewer; torques then change sign too, and a warning says so.
 
@@ -29,14 +29,14 @@ from invdyn.models.bodies.parts import PARALLEL, Part, PartJoint, Robot, check_f
 from invdyn.models.bodies.scalars import BodyError
 
 PLANES = {"x": ("y", "z"), "y": ("x", "z"), "z": ("x", "y")}
-ASIDE = 1e-3
+MAX_OFF_LINE = 1e-3
 """Of a length: what is nearer to a line is on it."""
 
 
 def tables(robot: Robot, where: str) -> dict:
     """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of a robot.
 
-    Warns (UserWarning) of what is left out, of centres of mass aside, and of hinges that turn clockwise. Raises
+    Warns (UserWarning) of what is left out, of centres of mass off the line, and of hinges that turn clockwise. Raises
     `BodyError`, which begins with `where`, for what is no planar chain of hinges, and a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
@@ -54,7 +54,7 @@ def tables(robot: Robot, where: str) -> dict:
 
 
 def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
-    """The tables, what is told of centres of mass aside, and names of hinges that turn clockwise."""
+    """The tables, warnings of centres of mass off the line, and names of hinges that turn clockwise."""
     groups, hinges = _chain(robot.parts, where)
     axis, signs = _axis(hinges, where)
     u, v, normal = _frame(axis)
@@ -71,11 +71,11 @@ def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
             raise BodyError(f"{where}: link '{name}' has no length: its hinge and its end are at one place")
         mass, com, inertia = _inertial(group, plane, normal, where)
         along = (end - start) / length
-        aside, reach = (float(x) for x in (com - start) @ np.array([[-along[1], along[0]], along]).T)
-        if abs(aside) > ASIDE * length:
-            notes.append(f"that the centre of mass of {name} is {abs(aside):.3g} m beside the line of its joints")
+        offset, reach = (float(x) for x in (com - start) @ np.array([[-along[1], along[0]], along]).T)
+        if abs(offset) > MAX_OFF_LINE * length:
+            notes.append(f"that the centre of mass of {name} is {abs(offset):.3g} m off the line of its joints")
         # about the hinge the inertia stays what it is
-        given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * aside * aside}
+        given = {"length": length, "mass": mass, "com": reach, "inertia": inertia + mass * offset * offset}
         check_finite(list(given.values()), f"{where}: link '{name}'")
         links.append({"name": name, "joint": hinge.name, "tip": shown, **given})
         heading = math.atan2(along[1], along[0])
@@ -94,7 +94,7 @@ def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
     return found, notes, against
 
 
-def masses_aside(robot: Robot, where: str) -> list[str]:
+def masses_off_line(robot: Robot, where: str) -> list[str]:
     """What a chain in the plane leaves out of centres of mass, in words, link by link. Raises as `tables` does."""
     return _tables(robot, where)[1]
 
@@ -158,7 +158,9 @@ def _shown(group: Sequence[Part], hinge: PartJoint, plane: np.ndarray) -> str:
     """What the next hinge's place is called: as a marked point of the link there, or as the hinge."""
     there = plane @ hinge.anchor
     reach = np.linalg.norm(there - plane @ group[0].joints[0].anchor)
-    names = [name for part in group for name, at in part.marks if np.linalg.norm(plane @ at - there) <= ASIDE * reach]
+    names = [
+        name for part in group for name, at in part.marks if np.linalg.norm(plane @ at - there) <= MAX_OFF_LINE * reach
+    ]
     return hinge.name if not names or hinge.name in names else names[0]
 
 

@@ -31,7 +31,7 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
     check_root(root, "mujoco", path)
     folder = Path(path).parent
     _include(root, folder, path, _Included({Path(path).resolve()}), 0)
-    told: dict[str, list[str]] = {}
+    left_out: dict[str, list[str]] = {}
     for each in root.iter():
         if each.tag in MULTIPLE or (each.tag == "mesh" and "builtin" in each.attrib):
             what = f"<{each.tag}>" if each.tag in MULTIPLE else "a built-in mesh"
@@ -40,16 +40,16 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
             )
         if each.tag == "plugin":
             name = each.get("plugin") or each.get("name") or each.get("instance") or "?"
-            told.setdefault("plugins", []).append(name)
+            left_out.setdefault("plugins", []).append(name)
         if "delay" in each.attrib:
-            told.setdefault("delays", []).append(each.get("name", each.tag))
+            left_out.setdefault("delays", []).append(each.get("name", each.tag))
     root[:] = [each for each in root if each.tag in SECTIONS]
     if (count := sum(1 for _ in root.iter("body"))) > MOST_BODIES:
         raise BodyError(f"{path}: expected at most {MOST_BODIES} bodies, got {count}")
     where_meshes = _mesh_folder(root)
     _prune(root)
     meshes = _meshes(root, folder, where_meshes, path)
-    return tostring(root, encoding="unicode"), meshes, told
+    return tostring(root, encoding="unicode"), meshes, left_out
 
 
 @dataclass

@@ -82,10 +82,10 @@ def _tree(links: dict, joints: dict, where: str) -> tuple[str, dict[str, list[tu
         below.setdefault(ends[0], []).append((joint, ends[1]))
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
-        told = (
+        label = (
             f"got {', '.join(roots[:4])}" if roots else "but the joints form a loop" if links else "got no link at all"
         )
-        raise BodyError(f"{where}: expected one link that is no joint's child, {told}")
+        raise BodyError(f"{where}: expected one link that is no joint's child, {label}")
     reached = {root := roots[0]}
     todo = [root]
     for name in todo:
@@ -140,20 +140,20 @@ def _moves(joint: Element, frame: Frame, where: str) -> list[PartJoint]:
 
 
 def _part(link: Element, name: str, parent: int, joints: list[PartJoint], frame: Frame, where: str) -> Part:
-    told = f"{where}: link '{name}'"
+    label = f"{where}: link '{name}'"
     inertial = link.find("inertial")
     mass, (turn, com), tensor = 0.0, frame, np.zeros((3, 3))
     if inertial is not None:
-        turn, com = _moved(frame, inertial, told)
+        turn, com = _moved(frame, inertial, label)
         if inertial.find("mass") is None:
-            raise BodyError(f"{told}: its inertial element lacks a mass")
-        mass = float(_numbers(inertial.find("mass"), "value", "nan", told)[0])
+            raise BodyError(f"{label}: its inertial element lacks a mass")
+        mass = float(_numbers(inertial.find("mass"), "value", "nan", label)[0])
         own = inertial.find("inertia")
-        tensor = np.array([[_numbers(own, key, "0", told)[0] for key in row] for row in TENSOR])
+        tensor = np.array([[_numbers(own, key, "0", label)[0] for key in row] for row in TENSOR])
         if mass < 0:
-            raise BodyError(f"{told}: expected no negative mass, got {mass:g} kg")
+            raise BodyError(f"{label}: expected no negative mass, got {mass:g} kg")
     return Part(
-        name, parent, mass, com, turn @ tensor @ turn.T, frame[1], frame[0], joints, ends=_ends(link, frame, told)
+        name, parent, mass, com, turn @ tensor @ turn.T, frame[1], frame[0], joints, ends=_ends(link, frame, label)
     )
 
 
@@ -180,16 +180,16 @@ def _joint_parts(moving: Sequence[Element], where: str) -> dict[str, JointParts]
     found = {}
     for joint in moving:
         name = joint.get("name", "")
-        told = f"{where}: joint '{name}'"
+        label = f"{where}: joint '{name}'"
         damping, friction = (
-            float(_numbers(joint.find("dynamics"), key, "0", told)[0]) for key in ("damping", "friction")
+            float(_numbers(joint.find("dynamics"), key, "0", label)[0]) for key in ("damping", "friction")
         )
-        effort = float(_numbers(joint.find("limit"), "effort", "0", told)[0])
+        effort = float(_numbers(joint.find("limit"), "effort", "0", label)[0])
         motor = Motor(low=-effort, high=effort) if effort > 0 else None
         try:
             parts = JointParts(damping, friction, motor=motor)
         except BodyError as error:
-            raise BodyError(f"{told}: {error}") from error
+            raise BodyError(f"{label}: {error}") from error
         if parts != NOTHING:
             found[name] = parts
     return found

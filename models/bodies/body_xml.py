@@ -80,7 +80,7 @@ def nearby(name: str, folder: Path, where: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # a loop of links; a name with NUL
         raise BodyError(f"{where}: names '{name:.200}', which is no file") from error
     if not inside:
-        raise BodyError(f"{where}: names '{name:.200}', outside its own folder; put that file beside it, or below")
+        raise BodyError(f"{where}: names '{name:.200}', outside its own folder; put that file next to it, or below")
     if not there:
         raise BodyError(f"{where}: names '{name:.200}', which is no file")
     return path

@@ -22,7 +22,7 @@ from invdyn.models.bodies import (
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.parts import Robot, is_planar_chain
-from invdyn.models.bodies.placeholders import Moment, told
+from invdyn.models.bodies.placeholders import Moment, placeholder_warning
 from invdyn.models.bodies.scalars import BodyError, nominal
 from invdyn.models.bodies.tree_parameters import vector_of
 from invdyn.models.bodies.whole_file import read_whole
@@ -52,7 +52,7 @@ class FromFiles:
 
         A robot's file of hinges about one of the axes x, y and z, without a branch, is a chain in the plane, unless
         ``dimensions`` is 3, as where a recording shows it in space; then every site of its file is a keypoint. A chain
-        in the plane has its centres of mass on the lines of its joints: a robot that has one beside them, and is not
+        in the plane has its centres of mass on the lines of its joints: a robot that has one off them, and is not
         ``filmed`` in a plane, is a tree, and a warning (UserWarning) says so.
 
         Raises `BodyError`, which names the file and what to do, or `OSError` if it cannot be read.
@@ -63,8 +63,8 @@ class FromFiles:
         robot = robot_file.of(content, str(path))
         if dimensions is None:
             dimensions = 2 if is_planar_chain(robot.parts) else 3
-            if dimensions == 2 and not filmed and (aside := body_chain.masses_aside(robot, str(path))):
-                words = f"in the plane it would leave out {'; '.join(aside)}"
+            if dimensions == 2 and not filmed and (off := body_chain.masses_off_line(robot, str(path))):
+                words = f"in the plane it would leave out {'; '.join(off)}"
                 warnings.warn(f"{path}: taken as a body in space; {words}", stacklevel=2)
                 dimensions = 3
         return cls.from_robot(robot, path, dimensions)
@@ -115,7 +115,7 @@ class FromFiles:
                 body = cls(**tables | {"links": links})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
-        if strange := told(body.largest_moments()):
+        if strange := placeholder_warning(body.largest_moments()):
             warnings.warn(f"{path}: {strange}", UserWarning, stacklevel=3)
         return body
 
@@ -137,14 +137,14 @@ class FromFiles:
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
         if self.is_chain:
-            links = [planar.table(link) | joint_parts_toml.told(link.parts) for link in self.links]
+            links = [planar.table(link) | joint_parts_toml.table(link.parts) for link in self.links]
             given = {"name": self.name, "gravity": self.gravity, "base": self.base, "uncertainty": self.uncertainty}
             body_toml.write(path, given | {"links": links})
             return
         links = [
             {key.name: getattr(link, key.name) for key in fields(link) if key.name != "parts"}
             | {key: vector_of(link, key) for key in ("com", "inertia")}
-            | joint_parts_toml.told(link.parts)
+            | joint_parts_toml.table(link.parts)
             | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
             for link in self.links
         ]

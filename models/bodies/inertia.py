@@ -1,8 +1,8 @@
-"""Inertia tensors as six numbers, and what can be asked of them.
+"""Inertia tensors as six numbers, and their properties.
 
 About the centre of mass, in the link's frame, kg·m²: (xx, yy, zz, xy, xz, yz), products as in the matrix (so MuJoCo
 and URDF write them). A rigid body has principal moments that are not negative, and none is larger than the two others
-together. That is asked only where it plays a part: of a link that can turn about one direction alone, the moment about
+together. That is checked only where it matters: of a link that can turn about one direction alone, the moment about
 that; of one that cannot turn, nothing.
 """
 

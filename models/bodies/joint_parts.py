@@ -2,12 +2,12 @@
 
     τ = u − b θ̇ − f sgn θ̇ − I_a θ̈ − k (θ − θ₀)
     u = clip(command)                                             of a torque motor
-    u = clip(K c + u₀ − S θ − D θ̇)                                of a servo that is told an angle or a velocity c
+    u = clip(K c + u₀ − S θ − D θ̇)                                of a servo whose target is an angle or a velocity c
 
 All as the joint feels it, behind the gear. In MuJoCo's terms (Computation: actuation model) an actuator's force is
 gain · ctrl + bias₀ + bias₁ · length + bias₂ · velocity, with length = gear · q, and acts times the gear.
 
-`step` and `late` say how the file's own engine plays the joint, and are no part of the robot. A first-order engine
+`step` and `late` say how the file's own engine simulates the joint, and are no part of the robot. A first-order engine
 kicks velocities at the beginning of each step of h s and then moves with them, so that u acts h/2 early. A damper that
 it takes at the end of a step acts h/2 early, too, as an inertia B h/2 would; one that it takes from the beginning h/2
 late (Hairer, Lubich & Wanner 2006, §IX.1).
@@ -24,7 +24,7 @@ KINDS = ("torque", "position", "velocity")
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor. `kind` says what it is told: "torque" N·m, "position" rad or "velocity" rad/s.
+    """A motor. `kind` says what its command is: "torque" N·m, "position" rad or "velocity" rad/s.
 
     `gain` K, `stiffness` S and `damping` D are a servo's, N·m a unit; `bias` u₀, and the limits `low`, `high`, N·m.
     `gear` is how far the file's own actuator turns for a radian of the joint; all else is stated at the joint.
@@ -100,7 +100,7 @@ class JointParts:
 
     @property
     def servo(self) -> Motor | None:
-        """Its motor, where that is told an angle or a velocity."""
+        """Its motor, where that has a target angle or velocity."""
         return self.motor if self.motor is not None and self.motor.kind != "torque" else None
 
 

@@ -2,7 +2,7 @@
 
 A position servo of MuJoCo has gain kp and bias (0, −kp, −kv) on its length gear · q; at the joint it is one of
 K = S = kp gear² and D = kv gear². Limits are those of the actuator's force, of its control (of a torque motor), and of
-the joint's actuators together, whichever is narrower. What is not played is told by :mod:`.body_mjcf_left_out`.
+the joint's actuators together, whichever is narrower. :mod:`.body_mjcf_left_out` warns of what is left out.
 
 Its integrators are of first order but for RK4 (Computation: numerical integration). Euler takes joints' damping at a
 step's end and servos' at its beginning, "implicit" and "implicitfast" both at its end.

@@ -33,7 +33,7 @@ def taken(link: dict, where: str) -> JointParts | None:
         raise BodyError(text if text.startswith(where) else f"{where}: {text}") from None
 
 
-def told(parts: JointParts | None) -> dict:
+def table(parts: JointParts | None) -> dict:
     """The keys of a link that say the same; those that stand as they would without are left out."""
     if parts is None:
         return {}

@@ -12,7 +12,7 @@ constant `reference` (none, mostly). Types, with their coordinates (rad, m):
 Each turn is about the axis as the turns before have moved it. Where the middle one of three turns (the second of
 "zy" likewise) comes to the singular end of its range, another chart is wanted: `Joint.recentred`.
 
-A `driven` joint's motion is given (a shoulder that a camera follows, say), so that no torque of it is asked for.
+A `driven` joint's motion is given (a shoulder that a camera follows, say), so that its torque is not inferred.
 """
 
 import dataclasses
@@ -74,7 +74,7 @@ class Joint:
         letters = list(self.chart) if isinstance(self.chart, str) else []
         apart = all(one != other for one, other in pairwise(letters))
         if len(letters) != len(usual) or not usual or set(letters) - set("xyz") or not apart:
-            wanted = f"{len(usual)} letters of x, y and z, no two alike in a row" if usual else "none"
+            wanted = f"{len(usual)} letters of x, y and z, no two equal in a row" if usual else "none"
             raise BodyError(f"{where}: a {self.type} joint's chart: expected {wanted}, got {self.chart!r:.40}")
         return self.chart
 

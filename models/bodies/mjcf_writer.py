@@ -1,11 +1,11 @@
-"""A body as MJCF, for MuJoCo and whatever reads its files.
+"""A body as MJCF, for MuJoCo and programs that read its files.
 
 Bodies, joints, sites and inertials have the names of links, coordinates and sites. A joint of several coordinates
 becomes several joints of one body, in the order in which they act. So coordinates and torques mean the same on both
 sides.
 All is written at coordinates 0. Inertials come as principal moments and the quaternion (w, x, y, z) of their axes.
 
-MuJoCo wants of whatever moves a mass and moments above 1e-15, and moments that a rigid body can have. A massless link
+MuJoCo wants of all that moves a mass and moments above 1e-15, and moments that a rigid body can have. A massless link
 with one child becomes more joints of the child. A moment of 0 becomes 2e-15 kg·m². A link that turns about one
 direction alone may have a tensor that is no rigid body's: a planar body's says the moment about z alone. Then the
 moment about that direction stands for all three. Capsules show the links in a viewer; they weigh nothing and touch
@@ -62,7 +62,7 @@ def write_mjcf(body: Body, path: str | Path) -> None:
 
     Warns (UserWarning) of what MJCF cannot say: priors, learned scalars, driven joints. Raises `BodyError` for a
     massless link that moves with several children or sites of its own, and for a tensor that is no rigid body's where
-    that plays a part; `OSError` for no place.
+    that matters; `OSError` for no place.
     """
     tree = body.in_space()
     lost = [
@@ -71,8 +71,8 @@ def write_mjcf(body: Body, path: str | Path) -> None:
         ("limits and servos of motors", any(own is not None and _is_more(own.motor) for own in tree.joint_parts)),
         (f"that joints are driven ({', '.join(tree.driven_names)})", bool(tree.driven_names)),
     ]
-    if told := [words for words, there in lost if there]:
-        warnings.warn(f"{path}: MJCF cannot say {'; nor '.join(told)}", UserWarning, stacklevel=2)
+    if omitted := [words for words, there in lost if there]:
+        warnings.warn(f"{path}: MJCF cannot say {'; nor '.join(omitted)}", UserWarning, stacklevel=2)
     root = Element("mujoco", model=tree.name)
     SubElement(root, "compiler", angle="radian")
     SubElement(root, "option", gravity=_text(np.array(tree.gravity)))
@@ -157,7 +157,7 @@ class _Writer:
         }
 
     def _needed(self, place: int, matrix: np.ndarray) -> float:
-        """The one moment of a link that plays a part, where its tensor is no rigid body's."""
+        """The one moment of a link that matters, where its tensor is no rigid body's."""
         turning = self.turning[place]
         if not len(turning):
             return 0.0
@@ -183,7 +183,7 @@ def _besides(parts: JointParts | None) -> dict[str, str]:
 
 
 def _is_more(motor: Motor | None) -> bool:
-    """Whether a motor is anything but one that gives the torque it is told."""
+    """Whether a motor is anything but one that gives its commanded torque."""
     return motor is not None and (motor.kind != "torque" or motor.limited)
 
 

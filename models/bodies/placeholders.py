@@ -31,11 +31,11 @@ class Moment:
 
 
 def placeholder(moment: float) -> bool:
-    """Whether a number is a power of ten, as somebody writes who does not know it."""
+    """Whether a number is a power of ten, as a file has where the value is unknown."""
     return moment > 0 and math.isclose(moment, 10.0 ** round(math.log10(moment)), rel_tol=ROUND)
 
 
-def told(moments: Iterable[Moment]) -> str | None:
+def placeholder_warning(moments: Iterable[Moment]) -> str | None:
     """Which of them are strange, and what to do; None where none is."""
     found = [each for each in moments if each.strange]
     if not found:

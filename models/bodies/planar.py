@@ -93,12 +93,12 @@ def check_chain(links: Sequence[Link], where: str) -> None:
         raise BodyError(f"{where}: expected at most {MOST_LINKS} links, got {len(links)}")
     joints = [link.joint.name for link in links]
     for place, link in enumerate(links):
-        told = f"{where}: link '{link.name}'"
+        label = f"{where}: link '{link.name}'"
         plain = link.joint == Joint(link.joint.name) and link.rotation == UNTURNED and not link.sites
         placed = link.parent == (links[place - 1].name if place else WORLD) and (place == 0 or link.origin is None)
         if link.length is None or not plain or not placed:
             raise BodyError(
-                f"{told}: expected a stick, of a length and a tip, on a hinge about z at the tip of the one before; "
+                f"{label}: expected a stick, of a length and a tip, on a hinge about z at the tip of the one before; "
                 "a body of 3 dimensions takes any other"
             )
         # a keypoint is called after the joint that it shows, so one name cannot mean two places

@@ -1,4 +1,4 @@
-"""What a model asks of a body, whatever moves: a chain in the plane, a tree in space, or one of your own.
+"""What a model needs of a body: a chain in the plane, a tree in space, or one of your own.
 
 A body has K joints, whose coordinates torques move, and S *sites*: named points of its links, which keypoints show. Its
 numbers are a named tuple of tensors, each (..., own shape); leading dimensions are many parameter sets. What they mean

@@ -56,7 +56,7 @@ class Sticks:
     def _masks(self, device: torch.device) -> dict[str, Tensor]:
         """Which rows of com, inertia and position (L, 1) follow from lengths; links' tips and parents (L,), 0 for none.
 
-        Kept where they are asked for, as no row may wait.
+        Kept once computed, as every row needs them.
         """
         if device not in self._on:
             self._on[device] = {

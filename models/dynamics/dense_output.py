@@ -37,7 +37,7 @@ class Passage(NamedTuple):
         return x, v0 + share * (a0 + share * (3 * third + 4 * share * fourth))
 
     def until(self, share: Tensor, where: Tensor) -> tuple[Tensor, Tensor]:
-        """The motion x and its ẋ at ``share`` = τ, ``where`` asked for; at the end elsewhere."""
+        """The motion x and its ẋ at ``share`` = τ in the rows ``where``; at the end elsewhere."""
         x, moved = self.at(share)
         return torch.where(where, x, self.x1), torch.where(where, moved / torch.where(where, self.h, 1.0), self.v1)
 
@@ -49,7 +49,7 @@ class Passage(NamedTuple):
     def reaches(self, stop: Tensor, where: Tensor) -> Tensor:
         """τ (..., 1) at which one coordinate, which ends beyond ``stop``, last passes it; one but for ``where``.
 
-        By Newton's method from the end back: where the coordinate speeds up no step leads too far, and where it slows
+        By Newton's method from the end back: where the coordinate speeds up no step is too long, and where it slows
         down the first one at most.
         """
         share = torch.ones_like(stop)

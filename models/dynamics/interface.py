@@ -3,9 +3,9 @@
     D(θ) θ̈ + h(θ, θ̇) + c(θ) = τ
 
 Symbols and shapes, for K joints and S sites in d dimensions. Leading dimensions are batches and broadcast against those
-of the body's numbers p: in the plane p.length of shape (M, 1, K) goes with q of shape (M, N, K).
+of the body's numbers p: in the plane p.length of shape (M, 1, K) broadcasts with q of shape (M, N, K).
 
-    q    (..., K)      θ, joint angles, rad, or whatever coordinates joints have
+    q    (..., K)      θ, joint angles, rad, or the joints' other coordinates
     qd   (..., K)      θ̇, rad/s
     qdd  (..., K)      θ̈, rad/s²
     tau  (..., K)      τ, net joint torque, N·m
@@ -105,7 +105,7 @@ class Dynamics(ABC):
         return self.inertia_matrix(p.gravity.new_zeros(self.num_joints), p).diagonal()
 
     def typical_load(self, p: Any) -> Tensor:
-        """Load (K,) of gravity there, N·m, from whatever direction loads each joint most."""
+        """Load (K,) of gravity there, N·m, from the direction that loads each joint most."""
         there, size = p.gravity.new_zeros(self.num_joints), p.gravity.norm()
         ways = torch.eye(p.gravity.shape[-1], dtype=p.gravity.dtype, device=p.gravity.device)
         return torch.stack([self.gravity_load(there, p._replace(gravity=size * way)) for way in ways]).norm(dim=0)

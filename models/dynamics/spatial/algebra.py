@@ -58,7 +58,7 @@ def multiply(m: Matrix, n: Matrix) -> Matrix:
 
 
 def symmetric(entry: Callable[[int, int], Scalar]) -> Matrix:
-    """The symmetric matrix of an entry's function, which is asked for the upper triangle alone."""
+    """The symmetric matrix of an entry's function, which is evaluated for the upper triangle alone."""
     upper = {(i, j): entry(i, j) for i in range(3) for j in range(i, 3)}
     return [[upper[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
 

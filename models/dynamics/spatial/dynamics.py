@@ -4,7 +4,7 @@
 
 as in the interface, for K coordinates that hinges (rad, N·m) and slides (m, N) have. What the tree states as 0 (and, of
 rotations, ±1) is left out of the traced programs. Whether the `TreeParameters` that come agree is looked at once for
-each: where they do not, or where a gradient of them is asked for, a program that leaves less out is traced.
+each: where they do not, or where a gradient of them is needed, a program that leaves less out is traced.
 """
 
 import math
@@ -85,7 +85,7 @@ class SpatialDynamics(Dynamics):
             self._check_inertia()
 
     def __reduce__(self) -> tuple:
-        """By its tree: programs are traced anew, once for all copies that come to a process."""
+        """By its tree: programs are traced again, once for all copies in a process."""
         return _restored, (pickle.dumps(self.tree), self._after)
 
     def _numbers_of_tree(self) -> Any:
@@ -274,7 +274,7 @@ class SpatialDynamics(Dynamics):
         return self._seen
 
     def _check_inertia(self) -> None:
-        """Raise `BodyError` for a coordinate that nothing resists, whatever the pose."""
+        """Raise `BodyError` for a coordinate that nothing resists, in any pose."""
         K = self.num_joints
         poses = torch.tensor([[first + step * k for k in range(K)] for first, step in POSES], dtype=torch.float64)
         rest = torch.zeros(len(POSES), len(self.tree.driven_names), dtype=torch.float64)

@@ -203,7 +203,7 @@ def _less_disc(inertia: Matrix, across: Scalar, i: int, j: int) -> Scalar:
 
 
 def _regroup(frames: Sequence[Frame]) -> None:
-    """Give to each parent what its children's coordinates cannot move; what the world gets plays no part."""
+    """Give to each parent what its children's coordinates cannot move; what the world gets does not matter."""
     for frame in reversed(frames):
         (mass, h, I), place = frame.body, frame.at(0.0, 1.0, 0.0)
         if frame.turns:

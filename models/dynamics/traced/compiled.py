@@ -1,6 +1,6 @@
 """Traced programs without gradients, as machine code: torch's numbers to the last bit, in a fraction of its time.
 
-torch takes one operation after the other over all particles, and each costs microseconds whatever their number. The
+torch takes one operation after the other over all particles, and each costs microseconds for any number of them. The
 machine code (:mod:`.machine_code`) takes all operations for eight particles, then for the next eight. Angles' cosines
 and sines come in ready: torch computes them for many at a time.
 
@@ -40,12 +40,12 @@ def is_there() -> bool:
 
 
 def has_tangent(value: Tensor) -> bool:
-    """Whether a derivative is carried forward with it, whatever ``no_grad`` says."""
+    """Whether a derivative is carried forward with it, with or without ``no_grad``."""
     return forward_ad.unpack_dual(value).tangent is not None
 
 
 def is_plain(*values: Tensor) -> bool:
-    """Whether they are numbers of one type on the CPU, and nobody asks for derivatives, records or transforms."""
+    """Whether they are numbers of one type on the CPU, and no derivatives, records or transforms are needed."""
     if torch._C._len_torch_dispatch_stack() > 0 or torch._C._functorch.peek_interpreter_stack() is not None:
         return False
     learned, forward, dtype = torch.is_grad_enabled(), forward_ad._current_level >= 0, values[0].dtype
@@ -67,7 +67,7 @@ class Compiled:
         self._bodies: dict[str, tuple] = {}
 
     def pays(self, traced: Program, batch: Sequence[int]) -> bool:
-        """Whether to run a program as machine code, for a ``batch`` of particles; asked once before each run."""
+        """Whether to run a program as machine code, for a ``batch`` of particles; decided once before each run."""
         spent = self._spent.get(id(traced), 0.0)
         self._spent[id(traced)] = spent + 1 + EACH * math.prod(batch)
         return spent >= self._after

@@ -103,7 +103,7 @@ def _module(traced: Program, dtype: torch.dtype, own: bool) -> Any:
     def lanes(start: Any, place: int) -> Any:
         return at.load(column(start, place), align=size)
 
-    def alike(place: int) -> Any:
+    def broadcast(place: int) -> Any:
         """One number for all lanes."""
         number = at.load(at.gep(numbers, [at.add(at.mul(i64(place), bodies), b)]))
         nothing = ir.Constant(vector, ir.Undefined)
@@ -117,7 +117,7 @@ def _module(traced: Program, dtype: torch.dtype, own: bool) -> Any:
     values = {name: ir.Constant(vector, [x] * LANES) for name, x in source.literals.items()}
     moving = zip(source.arguments, traced.moving, strict=True)
     values |= {name: lanes(starts[word], place) for name, (word, place) in moving}
-    values |= {name: lanes(numbers, place) if own else alike(place) for place, name in enumerate(source.numbers)}
+    values |= {name: lanes(numbers, place) if own else broadcast(place) for place, name in enumerate(source.numbers)}
     operation = {"+": at.fadd, "-": at.fsub, "*": at.fmul, "/": at.fdiv, "neg": at.fneg}
     for line in source.lines:
         values[line.name] = operation[line.kind](*(values[x] for x in line.operands))

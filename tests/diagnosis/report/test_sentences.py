@@ -137,7 +137,7 @@ def test_rivals_are_said_to_change_the_recording_as_much_alike_as_they_do():
     assert sentence.endswith("all remain probable: this recording cannot tell them apart.")
     keys = d.ambiguity_set[0]
     (sentence,) = left(replace(d, overlaps=((*keys, 0.973), ("payload", "armature.elbow", 0.1))))
-    assert "(the changes that they predict are 97\u00a0% alike)" in sentence
+    assert "(the changes that they predict are 97\u00a0% correlated)" in sentence
 
 
 def test_verdict_does_not_claim_what_was_not_reached():

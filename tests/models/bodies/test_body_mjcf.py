@@ -264,9 +264,9 @@ def aside():
 def test_a_centre_of_mass_aside_is_kept_where_no_plane_is_filmed(tmp_path):
     """The chain in the plane drops it and says so; as a body in space the robot moves as MuJoCo's does."""
     (tmp_path / "arm.xml").write_text(aside())
-    with pytest.warns(UserWarning, match="leaves out that the centre of mass of b is 0.04 m beside the line"):
+    with pytest.warns(UserWarning, match="leaves out that the centre of mass of b is 0.04 m off the line"):
         assert load_body(tmp_path / "arm.xml").is_chain
-    with pytest.warns(UserWarning, match="in space; in the plane .* centre of mass of b is 0.04 m beside"):
+    with pytest.warns(UserWarning, match="in space; in the plane .* centre of mass of b is 0.04 m off"):
         tree = load_body(tmp_path / "arm.xml", filmed=False)
     model = mujoco.MjModel.from_xml_string(aside())
     data = mujoco.MjData(model)

@@ -176,7 +176,7 @@ MADE = {
     "hangs on 'lower', which is no link": {"parent": "lower"},
     "length 1, got length 2": {"joint": {"axis": (0, 0, 2)}},
     "expected a type of hinge": {"joint": {"type": "revolute"}},
-    "no two alike in a row, got 'zzy'": {"joint": {"type": "ball", "chart": "zzy"}},
+    "no two equal in a row, got 'zzy'": {"joint": {"type": "ball", "chart": "zzy"}},
     "a hinge joint's chart: expected none": {"joint": {"chart": "zyx"}},
     "mass in kg: expected no negative number, got -1": {"mass": -1.0},
     "mass in kg: expected 1e-09 or more, got 1e-12; is the unit right?": {"mass": 1e-12},
