@@ -344,6 +344,8 @@ def _constants(name: str, value: Tensor) -> np.ndarray:
 
 def _agreeing(known: np.ndarray, value: Tensor) -> np.ndarray:
     """What is known of an entry and true of all of ``value`` (..., *shape); NaN elsewhere."""
+    if value.is_meta:  # it has a shape alone
+        return np.full_like(known, np.nan)
     own = value.detach().cpu().double().numpy()
     return np.where((own == known).reshape(-1, *known.shape).all(0), known, np.nan) if known.size else known
 
