@@ -279,7 +279,7 @@ BAD = {
     "no XML": ("c.qca.txt", "camera one", "expected a Qualisys calibration in XML"),
     "an entity": ("c.qca.txt", '<!DOCTYPE a [<!ENTITY b "c">]><calibration/>', "defines entities"),
     "other XML": ("c.xml", "<opencv_storage/>", "got <opencv_storage>"),
-    "a turned view": ("c.qca.txt", QUALISYS.replace('viewrotation="0"', 'viewrotation="90"'), "turned by 90"),
+    "a rotated view": ("c.qca.txt", QUALISYS.replace('viewrotation="0"', 'viewrotation="90"'), "rotated by 90"),
     "a word": ("c.qca.txt", QUALISYS.replace('"64000"', '"wide"'), "focalLengthU is 'wide'"),
     "no intrinsic": ("c.qca.txt", QUALISYS.replace("<intrinsic", "<lens"), "is missing"),
     "YAML with a tag": ("c.yml", "%YAML:1.0\n---\na: !!python/object:os.system 1\n", "line 3"),
