@@ -46,7 +46,7 @@ BODIES = {  # what stands in the body file, what comes instead, what is said
     "a site twice": ("{wrist", "{elbow", "names of their own for all sites, got 'elbow' twice"),
     "a joint twice": ('joint = "elbow"', 'joint = "shoulder"', "for all joints, got 'shoulder' twice"),
     "a tip without length": (AXIS, AXIS + '\ntip = "hand"', "expected length and tip together"),
-    "gravity in the plane": ("[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity in m/s² (in space): expected 3 numbers"),
+    "gravity in the plane": ("[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity in m/s²: expected 3 numbers"),
     "four dimensions": ("dimensions = 3", "dimensions = 4", "expected dimensions = 2 (the default) or 3, got 4"),
     "no dimensions": ("dimensions = 3\n", "", "unknown key"),
     "nothing that moves": (ARM[ARM.index("[[links]]") :], '[[links]]\nname = "a"\njoint = "b"\ntype = "fixed"',
