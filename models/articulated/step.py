@@ -58,7 +58,7 @@ class Mechanics:
 
     def body_parameters(self) -> Any:
         """The body's numbers; those that follow from others do, effects come last."""
-        learned = torch.is_grad_enabled() or any(value.requires_grad for value in self.parameters.values())
+        learned = any(value.requires_grad for value in self.parameters.values())
         return self._followed_numbers() if learned else self._known_numbers
 
     @cached_property
