@@ -34,7 +34,7 @@ MAX_OFF_LINE = 1e-3
 
 
 def tables(robot: Robot, where: str) -> dict:
-    """Name, gravity, base and links, as :func:`.body_toml.read` returns them, of a robot.
+    """Name, gravity, base and links, as :func:`.body_toml.of` returns them, of a robot.
 
     Warns (UserWarning) of what is left out, of centres of mass off the line, and of hinges that turn clockwise. Raises
     `BodyError`, which begins with `where`, for what is no planar chain of hinges, and a link without length or mass.

@@ -29,23 +29,12 @@ from pathlib import Path
 import pyro.distributions as dist
 
 from invdyn.models.bodies import joint_parts_toml
-from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
-from invdyn.models.bodies.whole_file import read_whole, write_whole
+from invdyn.models.bodies.whole_file import write_whole
 
 BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
 REQUIRED = ("name", "joint", "tip", "length", "mass")
 LINK_KEYS = (*REQUIRED, "com", "inertia")
-
-
-def read(path: str | Path) -> dict:
-    """Return the tables of a body file under the keys of `BODY_KEYS`; `links` as a list of dicts.
-
-    A link's scalars come as float, prior or `Learned`. A body without a name is called as its file. Raises `BodyError`
-    for broken TOML, a TOML that is no body, unknown or missing keys, and what is not a scalar; `OSError` when the file
-    cannot be read.
-    """
-    return of(parse(read_whole(path, MOST_BYTES), str(path)), str(path))
 
 
 def parse(content: bytes, path: str) -> dict:
@@ -63,7 +52,11 @@ def parse(content: bytes, path: str) -> dict:
 
 
 def of(tables: dict, path: str) -> dict:
-    """The tables of a body; see :func:`read`."""
+    """Return a body's tables under the keys of `BODY_KEYS`; `links` as a list of dicts.
+
+    A link's scalars come as float, prior or `Learned`. A body without a name is called as its file. Raises `BodyError`
+    for tables that are no body, unknown or missing keys, and what is not a scalar.
+    """
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
@@ -97,7 +90,7 @@ def uncertainty_lines(stated: Mapping[str, float]) -> list[str]:
 
 
 def write(path: str | Path, tables: dict) -> None:
-    """Write tables as `read` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
+    """Write tables as `of` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
     lines = [f"{key} = {literal(tables[key])}" for key in ("name", "gravity", "base")]
     for link in tables["links"]:
         values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}

@@ -79,7 +79,8 @@ class FromFiles:
         """The body of a TOML file's tables; dimensions = 3 says a tree. See `load`."""
         if tree_toml.is_in_space(tables, path):
             return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path, 3)
-        return cls._of(body_toml.of(tables, str(path)), path, 2)
+        planar_tables = {key: value for key, value in tables.items() if key != "dimensions"}
+        return cls._of(body_toml.of(planar_tables, str(path)), path, 2)
 
     @classmethod
     def from_mjcf(cls, path: str | Path, dimensions: int | None = None) -> Self:

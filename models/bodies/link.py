@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from numbers import Real
 
 import pyro.distributions as dist
 
@@ -79,8 +80,10 @@ class Link:
         where = f"link '{self.name}'"
         check_name(self.parent, f"{where}: parent")
         keep = object.__setattr__
-        if self.name == WORLD or not isinstance(self.joint, Joint):
-            raise BodyError(f"{where}: expected a name other than '{WORLD}' and a Joint")
+        if self.name == WORLD:
+            raise BodyError(f"{where}: expected a name other than '{WORLD}'")
+        if not isinstance(self.joint, Joint):
+            raise BodyError(f"{where}: expected a joint or its name, got {self.joint!r:.60}")
         if self.parts is not None and self.joint.type not in ("hinge", "slide"):
             raise BodyError(
                 f"{where}: expected friction, springs and motors at hinges and slides, got {self.joint.type}"
@@ -130,7 +133,7 @@ class Link:
     def along(self, quantity: str) -> bool:
         """Whether com or inertia is one scalar, along the stick and about its joint, and no vector."""
         value = getattr(self, quantity)
-        return isinstance(value, int | float | dist.Distribution | Learned)
+        return isinstance(value, Real | dist.Distribution | Learned) or getattr(value, "ndim", 1) == 0
 
     @property
     def points(self) -> dict[str, Vector | None]:

@@ -2,8 +2,10 @@
 
 import math
 import re
+from fractions import Fraction
 from importlib.resources import files
 
+import numpy as np
 import pyro
 import pyro.distributions as dist
 import pytest
@@ -226,6 +228,28 @@ def test_uncertainty_becomes_priors_around_the_nominal_values():
 def test_scalars_that_a_link_refuses(scalar, message):
     with pytest.raises(BodyError, match=f"link 'upper_arm': mass in kg: .*{message}"):
         arm(mass=scalar)
+
+
+@pytest.mark.parametrize("number", [np.float32(0.125), np.float64(0.125), Fraction(1, 8)], ids=type)
+def test_numbers_of_any_kind_are_taken(number):
+    link = arm(com=number, inertia=number).links[0]
+    assert (link.com, link.inertia) == (0.125, 0.125)
+    assert type(link.com) is float
+
+
+@pytest.mark.parametrize("made", [np.array, torch.tensor])
+def test_an_array_of_one_number_is_none(made):
+    with pytest.raises(BodyError, match=r"link 'upper_arm': com in m: expected a finite number, got (array|tensor)"):
+        arm(com=made(0.1))
+
+
+def test_a_joint_is_a_joint_or_its_name():
+    with pytest.raises(BodyError, match="link 'a': expected a joint or its name, got 5"):
+        Link("a", 5, "b", length=0.3, mass=1.0)
+
+
+def test_a_file_may_say_that_it_is_planar(write):
+    assert Body.from_toml(write(f"dimensions = 2\n{ARM}")) == Body.from_toml(write(ARM))
 
 
 def test_priors_that_a_link_takes():
