@@ -16,6 +16,7 @@ from multiprocessing.context import ForkContext
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any, TypeVar
 
+import cloudpickle
 import torch
 
 from invdyn.diagnosis.budget import Budget
@@ -91,8 +92,13 @@ def _started(
 
 def _work(parts: Sequence[Callable[[], T]], turn: Synchronized, outbox: Connection) -> None:
     torch.set_num_threads(1)  # the parent's threads are not in the copy
+    answers = _worked(parts, turn, _next(turn))
     # By pickle itself: torch's way with pipes would share tensors' memory through files.
-    outbox.send_bytes(pickle.dumps(_worked(parts, turn, _next(turn))))
+    try:
+        packed = pickle.dumps(answers)
+    except (pickle.PicklingError, AttributeError, TypeError):  # a function in a function, as a catalogue's entry has
+        packed = cloudpickle.dumps(answers)
+    outbox.send_bytes(packed)
     outbox.close()
 
 

@@ -77,6 +77,13 @@ def test_what_a_part_raises_is_raised(workers):
         side_by_side([partial(power, 2, 2), partial(fails, 2), partial(fails, 3)], workers)
 
 
+def test_functions_without_a_name_come_back():
+    """As those in an entry of a catalogue of one's own."""
+    begun = FORK.Event()
+    parts = [begun.wait, lambda: (begun.set(), lambda x: 2 * x)[1]]
+    assert side_by_side(parts, 2)[1](21) == 42
+
+
 def test_a_process_that_dies_is_one_line():
     begun = FORK.Event()
 
