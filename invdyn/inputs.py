@@ -4,6 +4,7 @@ A kind of file is a source. It can be given those options that its reader takes,
 """
 
 import inspect
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,12 +65,18 @@ SPELLED |= {name: f"--set {name}" for name in ("episodes", "format", "individual
 def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body:
     """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
 
-    A robot of parallel hinges is a body in space if its ``recording``, read with ``options``, has three coordinates.
+    A robot of parallel hinges is a body in space if its ``recording``, read with ``options``, has three coordinates
+    of its file's sites; not of joints that only the chain in the plane calls keypoints.
     ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
     """
     with body_file(name) as path:
-        shown = recording is not None and is_xml(path.read_bytes()) and in_space(load(recording, **options))
-        return read_body(path, filmed=filmed, dimensions=3 if shown else None)
+        dimensions = None
+        if recording is not None and is_xml(path.read_bytes()) and in_space(seen := load(recording, **options)):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what the files are read for says it
+                flat, whole = (read_body(path, filmed=filmed, dimensions=d).keypoint_names for d in (None, 3))
+            dimensions = 3 if {*seen.keypoint_names} & {*flat} <= {*whole} else None
+        return read_body(path, filmed=filmed, dimensions=dimensions)
 
 
 def load_known(name: str, body: Body) -> Truth:

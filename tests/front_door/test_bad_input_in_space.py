@@ -139,6 +139,16 @@ def test_bad_recordings_of_bodies_in_space(text, options, said, tmp_path, refuse
     refused("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", *options, said=said)
 
 
+def test_space_for_a_robot_whose_file_has_no_sites_at_its_joints(tmp_path, refused):
+    pytest.importorskip("mujoco")
+    hinge = '<joint name="{}" axis="0 -1 0"/><geom size=".1"/>'.format
+    fore = f'<body pos="0 0 -1">{hinge("elbow")}<site name="wrist" pos="0 0 -1"/></body>'
+    upper = f"<body>{hinge('shoulder')}{fore}</body>"
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{upper}</worldbody></mujoco>")
+    (tmp_path / "rec.csv").write_text(HEADER + "".join(f"{0.03 * n:.2f},1,{n},2,0,{n},3\n" for n in range(3)))
+    refused("infer", "rec.csv", "--body", "arm.xml", "--out", "p.nc", said="name the file's axes that point right")
+
+
 def test_space_for_a_body_in_the_plane(tmp_path, refused, folder):
     (tmp_path / "rec.csv").write_text(HEADER + "".join(f"{0.03 * n:.2f},1,{n},2,0,{n},3\n" for n in range(3)))
     refused(
