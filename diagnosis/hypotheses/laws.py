@@ -13,7 +13,7 @@ sub-steps along a path. As an input into the state it changes the whitened innov
 (:mod:`.innovations`), and log evidence by ½ |w|² on average; with next to no residual, which would take the error
 along.
 
-That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.longest`).
+That is along a path without a cause. Where joints stick, the effect's own sub-steps do (:attr:`.Effect.max_substep`).
 
 Steps of an engine
 ------------------
