@@ -2,7 +2,6 @@
 
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import PREFIX, Effect, effect_name
-from invdyn.models.effects.catalogue import EFFECTS
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
@@ -10,6 +9,9 @@ from invdyn.models.effects.hidden import Follower, HiddenHinge
 from invdyn.models.effects.parameter import Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.view import View
+
+# Last: it imports each effect's file, which may itself import from here what stands above.
+from invdyn.models.effects.catalogue import EFFECTS  # isort: skip
 
 _CLASSES = {kind.__name__: kind for kind in EFFECTS.values()}
 

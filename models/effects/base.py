@@ -24,6 +24,9 @@ and some return x as they leave it, others what they add to it:
     outlier     x a View                                 → error of the tracker: something else is detected
     mistiming   x a View                                 → error of the tracker: another time is detected
 
+:mod:`.effect_context` says what a Situation knows, such as the time, :mod:`..observation.view` the same of a View. A
+:class:`.Command` has all rows at once, (..., T, K): many parameter sets come as (..., 1, 1) there, and broadcast too.
+
 Effects act in the order of :attr:`Effect.order`; a force of an order above 0 finds the others in the situation's
 ``motor``. An effect with states that no sensor shows derives from a class of :mod:`.hidden`. What a diagnosis needs to
 know of an effect besides, its words, relatives and credible values, stands in the diagnosis' own catalogue.

@@ -11,6 +11,7 @@ Shapes: rows (..., O), O the sum of the sensors' sizes. NaN is missing.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from inspect import getattr_static
 from itertools import groupby
 from typing import Any, Self, TypeVar
 
@@ -31,6 +32,8 @@ from invdyn.models.shapes import join
 
 Rows = TypeVar("Rows", Tensor, np.ndarray)
 FAMILIES = ("gaussian", "student_t", "multivariate_t")
+REQUIRED = ("name", "unit", "bound", "to", "shape", "coords", "defaults", "started", "predict")
+"""What a sensor has, see :class:`.sensor.Sensor`."""
 DEFAULT_DEGREES = 4.0
 """Starting value of the degrees of freedom of Student-t noise."""
 
@@ -42,7 +45,7 @@ class Observation:
         sensors: in the order of their parts; keypoints whose tracker may have occasional errors come first.
         family: one of ``FAMILIES``, of those with independent noise; "multivariate_t" of keypoints.
 
-    Raises ValueError for an unknown family, no sensor, or two of one name.
+    Raises ValueError for an unknown family, no sensor, or two of one name; TypeError for what is no sensor.
     """
 
     def __init__(self, *sensors: Sensor, family: str = "gaussian"):
@@ -50,6 +53,9 @@ class Observation:
             raise ValueError(f"expected a noise family among {', '.join(FAMILIES)}, got {family!r}")
         if not sensors or any(isinstance(each, Keypoints) and not each.sites for each in sensors):
             raise ValueError("expected at least one sensor, and keypoints of at least one site, got none")
+        for each in sensors:
+            if lacks := [name for name in REQUIRED if getattr_static(each, name, None) is None]:
+                raise TypeError(f"expected a sensor, got {type(each).__name__}, which lacks {', '.join(lacks)}")
         names = [each.name for each in sensors]
         if len(set(names)) < len(names):
             raise ValueError(f"expected a name of its own for each sensor, got {', '.join(names)}")

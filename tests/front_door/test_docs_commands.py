@@ -10,13 +10,17 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
+import torch
 from pages import GUIDES, PAGES, ROOT, blocks, commands, languages
 from reported import diagnosis
 from stand_in import deeplabcut
 
 import invdyn.inference
+from invdyn.inference.infer_states import generic_methods
+from invdyn.inference.methods.registry import PARAMETER_METHODS
 from invdyn.inputs import load_body
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import write_keypoint_csv
@@ -52,13 +56,14 @@ def session(page: Path) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.quick("[!o]*", "own_effect*")
+@pytest.mark.quick("[!o]*", "own_effect*", "own_sensor*")
 @LEFT_OUT
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
 def test_a_guides_code_runs_and_its_bodies_are_read(page, tmp_path, monkeypatch):
     """Python blocks in their order, in one session; every TOML block is a body file."""
     monkeypatch.chdir(tmp_path)
-    session(page)
+    with patch.dict(invdyn.inference.METHODS):  # a guide may register one
+        session(page)
     for number, block in enumerate(blocks(page, "toml")):
         (tmp_path / f"{number}.toml").write_text(block)
         assert load_body(str(tmp_path / f"{number}.toml")).num_joints > 0
@@ -126,6 +131,27 @@ def test_the_robot_guides_commands_run(tmp_path, monkeypatch, run):
     assert Path("found/report.html").exists()
 
 
+@pytest.mark.quick("guide-*", "README-laplace")
+@pytest.mark.parametrize("method", [name for name in generic_methods() if name not in PARAMETER_METHODS])
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", ROOT / "docs" / "how-to" / "own_model.md"], ids=["README", "guide"]
+)
+def test_every_method_runs_on_the_models_of_the_pages(page, method):
+    """In single precision, as they are written; some methods take them in double precision."""
+    names: dict[str, Any] = {}
+    (block,) = (each for each in blocks(page, "python") if "(StateSpaceModel)" in each)
+    exec(compile(block.partition("\nmodel = ")[0], str(page), "exec"), names)
+    (kind,) = (each for each in names.values() if isinstance(each, type) and each.__module__ == "builtins")
+    model = kind({name: torch.tensor([1.0]) for name in ("step", "stiffness")})
+    model.num_steps = 8
+    rows = model.simulate(seed=0)[1]
+    few = {"svi": {"max_steps": 3}, "svi-markov": {"max_steps": 3}, "vsmc": {"steps": 1}}
+    chains = {"nuts": {"chains": 1, "warmup": 3}, "particle-gibbs": {"warmup": 1, "thin": 1}}
+    sizes = {"num_filters": 4, "num_particles": 20, "num_draws": 4}
+    idata = invdyn.inference.infer_states(model, rows, method=method, seed=0, **sizes, **(few | chains).get(method, {}))
+    assert bool(idata["posterior"]["state"].notnull().all())
+
+
 def test_contributings_effect_is_one():
     """Its names are those that a file in models/effects/ imports."""
     (block,) = blocks(ROOT / "CONTRIBUTING.md", "python")
@@ -135,6 +161,18 @@ def test_contributings_effect_is_one():
     body = load_body("paper_planar_arm")
     (first, _) = names["QuadraticDrag"].everywhere(body, body.keypoint_names)
     assert first.key == "quadratic_drag.shoulder"
+
+
+def test_a_guides_effect_can_be_saved_among_the_others():
+    """Its file is imported while the package is: what it takes from there stands above the catalogue."""
+    (first, *_) = blocks(ROOT / "docs" / "how-to" / "own_effect.md", "python")
+    (line,) = (each for each in first.splitlines() if each.startswith("from invdyn.models.effects "))
+    source = (ROOT / "models" / "effects" / "__init__.py").read_text("utf-8")
+    before, _, after = source.partition("from invdyn.models.effects.catalogue")
+    names: dict[str, Any] = {}
+    exec(before, names)
+    assert {each.strip() for each in line.partition("import")[2].split(",")} <= set(names)
+    assert "\nfrom " not in after  # and so does all else that a file may take
 
 
 def test_the_protocols_answers_have_the_keys_of_a_diagnosis():

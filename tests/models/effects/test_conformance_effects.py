@@ -81,7 +81,7 @@ def test_names_units_and_priors(name, arm):
                 assert len({p.name for p in parameters}) == len(parameters) > 0
                 assert any(p.absent is not None for p in parameters)
                 for p in parameters:
-                    assert p.unit in UNITS
+                    assert p.unit in UNITS, f"{p.unit} is no unit of any effect yet: if it is right, add it to UNITS"
                     assert p.prior.batch_shape == p.prior.event_shape == ()
                     inside = torch.tensor([v for v in (*p.grid, p.absent) if v is not None and math.isfinite(v)])
                     inside = torch.cat([inside, p.prior.sample((50,))])

@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.stats import norm, t
 
-from invdyn.models import Encoders, Keypoints, Link, Observation, planar_body
+from invdyn.models import Encoders, Keypoints, Link, Observation, Sensor, planar_body
+from invdyn.models.observation.observation import REQUIRED
 from invdyn.models.observation.view import View
 
 F64 = torch.float64
@@ -109,6 +110,19 @@ def test_a_row_as_an_int_and_as_a_tensor():
 def test_nonsense_is_refused(sensors, family, message):
     with pytest.raises(ValueError, match=message):
         Observation(*sensors, family=family)
+
+
+def test_what_is_no_sensor_is_refused_with_what_it_lacks():
+    class Tilt:
+        name, unit, shape = "tilt", "rad", (1,)
+
+        def bound(self, body):
+            return self
+
+    with pytest.raises(TypeError, match=r"got Tilt, which lacks to, coords, defaults, started, predict$"):
+        Observation(Keypoints([0]), Tilt())
+    protocol = {name for name in vars(Sensor) if not name.startswith("_")}
+    assert protocol == set(REQUIRED)
 
 
 def test_a_site_that_the_body_does_not_have_is_refused():
