@@ -10,7 +10,7 @@ A cause explains only a part, s_c = 0, in any of these cases:
 
 - errors of prediction are still correlated from row to row, or lie along the motion;
 - outliers of several keypoints come in the same rows, which independent ones do not (swapped ones are a cause of their
-own);
+  own);
 - errors are larger than the noise that the recording shows;
 - parameters are such that an effect would not bear its name (:attr:`.CatalogueEntry.credible`), as two stops that meet;
 - a residual still gains evidence: L_c = max_size log p − log p(spike) exceeds a hundredth of what it gains without a

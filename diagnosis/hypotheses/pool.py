@@ -169,7 +169,7 @@ def needed(wanted: float, *, explained: bool, rules: Rules = DEFAULT) -> float:
 
     The screen is linear along one path; a refinement costs some twenty times as much. With s nats that a candidate
     gains over its base in the screen, and r that its refinement gains, `python benchmarks/expected_gain.py` measures r
-    − s and r/s on development cases. Nineteen in twenty (99 in 100) stay under
+    − s and r/s on development cases. Nineteen in twenty (99 in 100) stay under::
 
         r − s      3 (6) nats      with a base that leaves nothing, of s up to 5
                    41 (430) nats   elsewhere, of s up to 60

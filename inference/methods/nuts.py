@@ -41,10 +41,11 @@ def nuts(
     """Sample the posterior by NUTS; no evidence (NaN).
 
     Args are those of :func:`.smc.smc`, and:
-        problem: model and observations, at most ``MAX_ROWS`` rows. The states are real numbers without bounds, and
-            log p(x, y) has a gradient; dynamics need not be Gaussian, and y_t may depend on x_{t−1}.
-        options: num_filters × num_draws draws in all, shared out among the chains.
-        chains, warmup: chains, started apart from one another, and steps of each that are thrown away.
+
+    - problem: model and observations, at most ``MAX_ROWS`` rows. The states are real numbers without bounds, and
+      log p(x, y) has a gradient; dynamics need not be Gaussian, and y_t may depend on x_{t−1}.
+    - options: num_filters × num_draws draws in all, shared out among the chains.
+    - chains, warmup: chains, started apart from one another, and steps of each that are thrown away.
 
     The attributes of sample_stats hold the largest R-hat and the smallest effective sample sizes of any number
     that the problem monitors, and the number of divergent steps. Raises InputError for a longer series, or fewer draws

@@ -59,13 +59,13 @@ def vsmc(
     """Train the guide, and the posterior of the ``free`` parameters; then run the trained filters.
 
     Args are those of :func:`.smc.smc`, and:
-        problem: model and observations; the model's parameters are the centre of the free ones' prior.
-        free: parameters to learn; without any, the guide alone is trained, at the model's parameters.
-        options: sizes of the filters that are reported; training has 4 of at most 50 particles.
-        checkpoint: keeps the training, and continues from there.
-        steps, learning_rate: of Adam; the rate falls tenfold over the steps. The guide's correction has thousands
-            of entries and learns at a tenth of the rate. Training that did not raise the bound of a pilot run is
-            undone.
+
+    - problem: model and observations; the model's parameters are the centre of the free ones' prior.
+    - free: parameters to learn; without any, the guide alone is trained, at the model's parameters.
+    - options: sizes of the filters that are reported; training has 4 of at most 50 particles.
+    - checkpoint: keeps the training, and continues from there.
+    - steps, learning_rate: of Adam; the rate falls tenfold over the steps. The guide's correction has thousands of
+      entries and learns at a tenth of the rate. Training that did not raise the bound of a pilot run is undone.
 
     Each chain is one filter; with ``free`` it has parameters of its own, which become variables of the posterior
     ("length", "mass", "com", "inertia" of a body, others by their dotted names). The evidence is an unbiased estimate,

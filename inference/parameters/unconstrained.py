@@ -62,7 +62,7 @@ class UnconstrainedParameters(Generic[M]):
         self._check_batch()
 
     def draw(self, shape: tuple[int, ...]) -> Tensor:
-        """Draws z (*shape, P) from the prior, by torch's global generator."""
+        """Draws z, ``(*shape, P)``, from the prior, by torch's global generator."""
         pieces = []
         for name in self.names:
             theta = self.priors[name].sample(torch.Size(shape)).double()

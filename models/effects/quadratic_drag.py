@@ -7,7 +7,7 @@ from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Valu
 
 
 class QuadraticDrag(Effect):
-    """Torque −c θ̇ |θ̇| at a joint, as of a paddle in water or air. As ``density`` in MuJoCo.
+    """Torque ``−c θ̇ |θ̇|`` at a joint, as of a paddle in water or air. As ``density`` in MuJoCo.
 
     Large amplitudes distinguish it from viscous friction.
     """
