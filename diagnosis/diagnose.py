@@ -156,7 +156,7 @@ def diagnose(
         bound = diagnosis_problem(recording, body, passive=passive, force=force, rules=rules)
     except NotEnoughData as error:
         whole, _ = joined(_each(recording))
-        return nothing_to_say(whole, body, seed, passive, str(error))
+        return nothing_to_say(whole, body, seed, passive, str(error), rules)
     effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
     work = effort if budget is None else math.inf
     allowed = Budget(work, math.inf if budget is None else budget, on_progress=None if progress is None else trying)
@@ -176,7 +176,7 @@ def diagnose(
     found = _searched(bound, without, workers)
     bound = found.problem
     if (reason := too_little(bound, found)) is not None:
-        return nothing_to_say(bound.problem.recording, body, seed, passive, reason)
+        return nothing_to_say(bound.problem.recording, body, seed, passive, reason, rules)
     if other is not None:
         other = other.in_engine_steps() if bound.engine_step else other
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))

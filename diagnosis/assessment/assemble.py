@@ -299,7 +299,9 @@ def _planar_only(bound: DiagnosisProblem) -> tuple[str, ...]:
     return tuple(name for name, entry in bound.catalogue.items() if not entry.effect.fits(bound.model.body))
 
 
-def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passive: bool, reason: str) -> Diagnosis:
+def nothing_to_say(
+    recording: Recording, body: ArticulatedBody, seed: int, passive: bool, reason: str, rules: Rules
+) -> Diagnosis:
     """The answer "not enough data"."""
     joints = body.joint_names
     nan = float("nan")
@@ -308,7 +310,7 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
         recording=recording.name,
         body=body.name,
         seed=seed,
-        regime=regime_of(recording.torques, passive, DEFAULT).name,
+        regime=regime_of(recording.torques, passive, rules).name,
         gap=Gap(
             False,
             nan,
@@ -333,4 +335,5 @@ def nothing_to_say(recording: Recording, body: ArticulatedBody, seed: int, passi
         method={},
         not_enough_data=reason,
         length_unit=recording.length_unit,
+        rules=rules,
     )

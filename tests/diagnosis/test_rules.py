@@ -31,6 +31,13 @@ def test_a_diagnosis_follows_the_rules_that_it_is_given():
     assert tolerant.gap.tolerated_torque["pivot"] == pytest.approx(100 * usual.gap.tolerated_torque["pivot"])
 
 
+def test_the_answer_that_there_is_too_little_keeps_its_rules():
+    rules = Rules().replace(min_rows=50)
+    found = diagnose(recording_of(FRICTION).at(slice(0, 40)), PENDULUM, rules=rules)
+    assert "a diagnosis needs 50" in found.not_enough_data
+    assert found.rules == rules
+
+
 def test_rules_are_immutable_and_know_their_names():
     with pytest.raises(FrozenInstanceError):
         DEFAULT.evidence.tolerance = 1.0
