@@ -1,6 +1,7 @@
 """Options of `infer` and `compare`: the model that joins recording and body, sizes of samplers, where it runs."""
 
 import inspect
+import re
 from collections.abc import Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -147,8 +148,8 @@ def open_workers(workers: str | None) -> AbstractContextManager:
     from invdyn.inference.execution.executors import open_executor
     from invdyn.recordings import InputError
 
-    if workers is None or not workers.lstrip("-").isdigit():
+    if workers is None or not re.fullmatch("-?[0-9]+", workers):
         return open_executor(None, workers)
-    if not 1 <= int(workers) <= MAX_WORKERS:
-        raise InputError(f"--workers: expected 1 to {MAX_WORKERS} processes, or a scheduler, got {workers}")
+    if len(workers) > len(str(MAX_WORKERS)) or not 1 <= int(workers) <= MAX_WORKERS:
+        raise InputError(f"--workers: expected 1 to {MAX_WORKERS} processes, or a scheduler, got {workers:.60}")
     return open_executor(int(workers))

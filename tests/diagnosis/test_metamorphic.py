@@ -154,7 +154,8 @@ def test_the_order_of_keypoints_and_of_joints_does_not_matter():
 def test_names_are_only_names():
     names = {"shoulder": "j1", "elbow": "j2", "wrist": "end"}
     links = [
-        replace(link, name=f"l{k}", joint=names[link.joint], tip=names[link.tip]) for k, link in enumerate(ARM.links)
+        replace(link, name=f"l{k}", joint=names[link.joint.name], tip=names[link.tip])
+        for k, link in enumerate(ARM.links)
     ]
     log = replace(rubbing(), keypoint_names=("j2", "end"), joint_names=("j1", "j2"))
     found = said(log, planar_body("other", links, gravity=ARM.gravity))

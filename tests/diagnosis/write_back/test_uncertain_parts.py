@@ -49,7 +49,7 @@ def test_a_free_number_is_learned_beside_the_cause_and_a_fixed_one_stays(nominal
     assert any(s.startswith("Learned: damping of the elbow") or "damping of elbow" in s for s in details(found))
     written = write_back(found, tmp_path / "robot.xml", body, tmp_path / "corrected.xml", held_out, True).written
     assert {(c["place"], c["quantity"]) for c in written.changes} == {("shoulder", "armature"), ("elbow", "damping")}
-    copy = {link.joint: link.parts for link in Body.load(tmp_path / "corrected.xml").links}
+    copy = {link.joint.name: link.parts for link in Body.load(tmp_path / "corrected.xml").links}
     assert copy["shoulder"].damping == 0.3
     assert copy["elbow"].damping == pytest.approx(number.change.after.mean, rel=1e-4)
     assert written.rollout["total_rms_rad"]["after"] < 0.15 * written.rollout["total_rms_rad"]["before"]
