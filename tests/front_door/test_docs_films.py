@@ -68,7 +68,7 @@ def test_films(tmp_path, monkeypatch, run, quick_inference):
     monkeypatch.setattr(training, "train", lambda *given, **options: few(*given, **options | {"steps": 4}))
     monkeypatch.setattr(blazepose, "person_tracker", lambda arm, person, progress: Person())
     # what learned for four steps puts joints anywhere
-    for module in ("inputs", "diagnosis.check.units"):
+    for module in ("table_input", "diagnosis.check.units"):
         monkeypatch.setattr(f"invdyn.{module}.check_fits", lambda *_: None)
     lines = run_all(run, "how-to/film.md", monkeypatch, tmp_path)
     assert len(quick_inference) == sum("invdyn infer" in line for line in lines)
