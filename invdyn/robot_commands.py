@@ -42,14 +42,15 @@ def check(
     from invdyn.recordings import InputError, write_text
 
     from .check_text import check_text
-    from .inputs import LOG, check_options, load_body, read_recordings, source_of
+    from .inputs import LOG, TABLE, check_options, load_body, read_recordings, source_of
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
     source = source_of([log], None, mapping)
     given = {"units": units, "fps": fps, "mapping": mapping, "episodes": None if episodes == "0" else episodes}
     check_options(log, [source], given)
-    body = load_body(robot, filmed=source is not LOG)
+    shown = {"recording": log, "units": units, "fps": fps} if source is TABLE else {}
+    body = load_body(robot, filmed=source is not LOG, **shown)
     readings = read_recordings([log], body, **given, frames=frames, as_it_stands=True)
     if len(readings) > 1:
         raise InputError(f"expected one episode to check, got {len(readings)}")

@@ -9,7 +9,9 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from invdyn.cli import app
 from invdyn.inference import infer
 from invdyn.inputs import load_body, load_recording
 
@@ -74,3 +76,9 @@ def test_every_site_of_parallel_hinges_is_a_keypoint_and_all_of_them_are_inferre
     assert float(np.sqrt((off**2).mean())) < 0.008  # m: the file's own misfit to its markers is 7 mm
     # Nothing drives it: what is left is friction and the file's misfit, against 15 N·m that its weight exerts.
     assert float(np.sqrt((found.posterior["torque"] ** 2).mean())) < 2
+
+
+def test_a_check_reads_the_same_body(pendulum):
+    arguments = ["check", "pendulum.xml", "markers.csv", "--zero-torque", "--no-effects"]
+    outcome = CliRunner().invoke(app, arguments)
+    assert outcome.exit_code == 0, outcome.output
