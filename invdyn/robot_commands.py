@@ -49,7 +49,7 @@ def check(
     source = source_of([log], None, mapping)
     given = {"units": units, "fps": fps, "mapping": mapping, "episodes": None if episodes == "0" else episodes}
     check_options(log, [source], given)
-    shown = {"recording": log, "units": units, "fps": fps} if source is TABLE else {}
+    shown: dict[str, Any] = {"recording": log, "units": units, "fps": fps} if source is TABLE else {}
     body = load_body(robot, filmed=source is not LOG, **shown)
     readings = read_recordings([log], body, **given, frames=frames, as_it_stands=True)
     if len(readings) > 1:
