@@ -88,7 +88,7 @@ def _changed(
     sets: Sequence[dict[str, float]],
     path: Tensor,
     plain: Tensor,
-    rules: Rules = DEFAULT,
+    rules: Rules,
 ) -> tuple[Tensor, Tensor]:
     rows = torch.arange(len(path))
     names = sets[0].keys()
