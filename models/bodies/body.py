@@ -32,12 +32,13 @@ from torch.distributions import constraints
 
 from invdyn.models.bodies import planar
 from invdyn.models.bodies.from_files import FromFiles
+from invdyn.models.bodies.geometry import hand, skeleton, turning
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Motion
 from invdyn.models.bodies.link import Link, ordered
 from invdyn.models.bodies.protocol import BodyBase, kept_as
-from invdyn.models.bodies.rotations import about, numbers
+from invdyn.models.bodies.rotations import numbers
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, check_name, nominal, prior
 from invdyn.models.bodies.sticks import Sticks
 from invdyn.models.bodies.tree_parameters import assembled, moments, vector_of
@@ -90,9 +91,9 @@ class Body(FromFiles, BodyBase):
             return
         if not self.num_joints:
             raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
-        for link, turning in zip(self.links, self.turning(), strict=True):
+        for link, directions in zip(self.links, turning(self.links, self.parents), strict=True):
             own = moments(link, nominal(link.mass), None if link.length is None else nominal(link.length))
-            check_inertia(tensor(np.array([nominal(x) for x in own])), turning, f"{where}: link '{link.name}'")
+            check_inertia(tensor(np.array([nominal(x) for x in own])), directions, f"{where}: link '{link.name}'")
 
     # -- names and places ------------------------------------------------------------------------
     @property
@@ -170,17 +171,7 @@ class Body(FromFiles, BodyBase):
 
         None where that is the world, or has no site.
         """
-        ends = [k for k in range(len(self.links)) if k not in self.parents]
-        inwards = [[end] for end in ends]
-        for way in inwards:
-            while self.parents[way[-1]] >= 0:
-                way.append(self.parents[way[-1]])
-        common = [k for k in inwards[0] if all(k in way for way in inwards)]
-        own = [self.keypoint_names.index(name) for name in self.links[common[0]].points] if common else []
-        if not own:
-            return None
-        far = self.in_space().parameters().sites[own].norm(dim=-1)
-        return common[0], own[int(far.argmax())]
+        return hand(self.links, self.parents, self.in_space().parameters().sites)
 
     def moved_by(self, link: int) -> tuple[int, ...]:
         """Coordinates of its joint, or, where that is fixed or driven, of the next one inwards."""
@@ -202,36 +193,6 @@ class Body(FromFiles, BodyBase):
         """Whether the first joint is at a place that does not move."""
         root = self.links[0].joint
         return not root.driven and all(motion.turns for motion in root.motions())
-
-    @property
-    def skeleton(self) -> list[tuple[int, int]]:
-        """Pairs of sites that a line joins in a picture, −1 the base: each with that, further in, next to its joint."""
-        p, names = self.in_space().parameters(), self.keypoint_names
-        hubs: list[int | None] = []
-        edges = []
-        for place, (link, parent) in enumerate(zip(self.links, self.parents, strict=True)):
-            hub = (-1 if self._stands else None) if parent < 0 else hubs[parent]
-            if parent >= 0 and (near := [names.index(name) for name in self.links[parent].points]):
-                hub = near[int((p.sites[near] - p.position[place]).norm(dim=-1).argmin())]
-            hubs.append(hub)
-            edges += [(hub, names.index(name)) for name in link.points if hub is not None]
-        return edges
-
-    def turning(self) -> list[np.ndarray]:
-        """For each link, directions in its own frame that its angular velocity may have, (n, 3).
-
-        Each turn further out is set to an angle that is nothing special, so that no two axes are parallel by chance.
-        """
-        found: list[np.ndarray] = []
-        for link, parent in zip(self.links, self.parents, strict=True):
-            inner = found[parent] if parent >= 0 else np.zeros((0, 3))
-            directions = inner @ np.array(link.rotation)
-            for place, motion in enumerate(link.joint.motions()):
-                if motion.turns:
-                    directions = directions @ about(motion.axis, 0.7 + place)
-                    directions = np.concatenate([directions, motion.axis[None]])
-            found.append(directions @ np.array(link.joint.reference))
-        return found
 
     # -- numbers ---------------------------------------------------------------------------------
     def parameters(
@@ -321,7 +282,8 @@ class Body(FromFiles, BodyBase):
         found["turns"] = ["joint"], torch.tensor(turns).int()
         if self._stands:
             found["base"] = ["space"], own["origin"][..., 0, :]
-        edges = self.skeleton
+        p = self.in_space().parameters()
+        edges = skeleton(self.links, self.parents, p.sites, p.position, self._stands)
         return found | ({"skeleton": (["edge", "end"], torch.tensor(edges))} if edges else {})
 
     # -- what is not known exactly -----------------------------------------------------------------

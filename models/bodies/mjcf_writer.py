@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies.body import Body
+from invdyn.models.bodies.geometry import turning
 from invdyn.models.bodies.inertia import tensor
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError
@@ -83,7 +84,7 @@ def write_mjcf(body: Body, path: str | Path) -> None:
 
 class _Writer:
     def __init__(self, tree: Body):
-        self.tree, self.p, self.turning = tree, tree.parameters(), tree.turning()
+        self.tree, self.p, self.turning = tree, tree.parameters(), turning(tree.links, tree.parents)
 
     def children(self, element: Element, parent: int, frame: _Pose) -> None:
         """Write the links on a parent, whose element and frame are given."""
