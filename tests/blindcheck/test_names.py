@@ -46,11 +46,11 @@ def test_names_units_side_and_place(name):
     kind = EFFECTS[name]
     # reality plays one form of each, the catalogue's first
     effect = [e for e in kind.everywhere(BODY, BODY.keypoint_names) if e.form is None][-1].bound(BODY)
-    ideal, *softer = (reported(form) for form in forms(effect))
+    ideal, *nonideal = (reported(form) for form in forms(effect))
     units = INJECTED[name].units
-    # and of some a softer form, whose parameters are those of the ideal one and more
+    # and of some a variant, whose parameters are those of the ideal one and more
     assert INJECTED[name].units == ideal or (
-        INJECTED[name].units in softer and ideal.items() < INJECTED[name].units.items()
+        INJECTED[name].units in nonideal and ideal.items() < INJECTED[name].units.items()
     )
     assert (units != ideal) == (name in ("stribeck_friction", "soft_tissue", "camera_yaw", "lens_distortion"))
     assert (kind.side == "observation") == (name in OBSERVATIONS)

@@ -98,7 +98,7 @@ def test_play_is_looked_for_beside_one_other_effect_that_does_not_stick(monkeypa
 def test_what_an_unknown_torque_imitates_sets_the_bar(monkeypatch, gain, barred):
     """Only the torque's prior speaks for friction; what gains less than that on the camera's side says no more.
 
-    Of tissue that swings an ideal law, which follows at once, may explain nothing: it has a softer form.
+    Of tissue that swings an ideal law, which follows at once, may explain nothing: it has a variant.
     """
     bound = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
     path, stray = data_path(bound)
@@ -156,7 +156,7 @@ def test_one_that_stands_out_is_refined_alone_first(monkeypatch, second, refined
 
 
 @pytest.mark.parametrize("plausible", [True, False])
-def test_what_needs_implausible_values_is_refined_in_its_softer_form(monkeypatch, plausible):
+def test_what_needs_implausible_values_is_refined_in_its_variant(monkeypatch, plausible):
     """A stop from values as deep, a friction from a short settling time; the others have no such form."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)

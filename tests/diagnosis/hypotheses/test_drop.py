@@ -30,7 +30,7 @@ def test_a_set_loses_what_it_does_not_need():
     assert found.ranked[0].key == "viscous_friction.pivot"
 
 
-def test_the_softer_form_of_one_takes_the_place_of_two(monkeypatch):
+def test_the_variant_of_one_takes_the_place_of_two(monkeypatch):
     """What stands beside ideal friction stands for what that lacks, though by itself it leaves nothing either."""
     bound = diagnosis_problem(driven(), PENDULUM)
     path, stray = data_path(bound)

@@ -1,4 +1,4 @@
-"""Neighbours of what was found: twins, special cases, softer forms, and what it may be taken for."""
+"""Neighbours of what was found: twins, special cases, variants, and what it may be taken for."""
 
 import sys
 from dataclasses import replace
@@ -191,7 +191,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
 
 
 @pytest.mark.long
-def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
+def test_what_ideal_friction_leaves_is_followed_by_its_variant(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
     soft, given = ideal.nonideal(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
@@ -230,7 +230,7 @@ def test_what_ideal_friction_leaves_is_followed_by_its_softer_form(monkeypatch):
         (1, [400.0, 1000.0, 600.0], [1, 2]),  # half of what the best one gains, however far behind it is
     ],
 )
-def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
+def test_variants_are_for_the_best_few_that_have_one(monkeypatch, number, gains, kept):
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
@@ -249,7 +249,7 @@ def test_softer_forms_are_for_the_best_few_that_have_one(monkeypatch, number, ga
 
 
 @pytest.mark.parametrize("alike", [True, False])
-def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
+def test_errors_that_are_alike_ask_for_a_variant_too(monkeypatch, alike):
     """Tissue that rings at 16 Hz leaves no residual torque, which is slower than that."""
     bound = diagnosis_problem(recording_of(), PENDULUM)
     path, stray = data_path(bound)
@@ -269,8 +269,8 @@ def test_errors_that_are_alike_ask_for_a_softer_form_too(monkeypatch, alike):
 
 
 @pytest.mark.long
-def test_a_relative_of_a_softer_form_is_as_soft(monkeypatch):
-    """The ideal one would leave what the softer form was found for, and never come near."""
+def test_a_relative_of_a_variant_is_as_soft(monkeypatch):
+    """The ideal one would leave what the variant was found for, and never come near."""
     truth, wide = (EFFECTS[name]("pivot").nonideal() for name in ("coulomb_friction", "stribeck_friction"))
     given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
     bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
@@ -314,7 +314,7 @@ def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(nam
     assert cause.log_evidence > hard.log_evidence + 10
 
 
-def test_each_of_two_effects_is_followed_by_its_softer_form(monkeypatch):
+def test_each_of_two_effects_is_followed_by_its_variant(monkeypatch):
     bound = diagnosis_problem(recording_of(body=ARM), ARM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE, rounds=1)

@@ -57,7 +57,7 @@ def test_a_form_of_ones_own_has_its_name_for_a_word(monkeypatch):
     assert words.key_words("clock_rate.sundial", two()).endswith(" sundial")
 
 
-def test_a_softer_form_is_said_to_be_one():
+def test_a_variant_is_said_to_be_one():
     """By a parameter that the ideal form lacks."""
     arm = planar_body("arm", [Link("l1", "j1", "p1", 0.3, 1.0), Link("l2", "j2", "p2", 0.3, 1.0)])
     scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))

@@ -147,7 +147,7 @@ def test_friction_under_load_counts_what_a_servo_gives(tmp_path):
     friction = LoadFriction("shoulder").bound(body)
     model = ArmModel(body, np.arange(ROWS) * STEP, command=command, substeps=10).with_effects(friction)
     without, with_friction = off_by(model, f"effect.{friction.key}.coefficient", (0.0, 0.2), theta)
-    # MuJoCo's friction is softer than the ideal law: see the top of `regularised_friction`
+    # MuJoCo's friction is a regularised form of the ideal law: see the top of `regularised_friction`
     assert with_friction < 0.02 < 0.1 < without, (without, with_friction)
 
 

@@ -19,8 +19,11 @@ from invdyn.models.effects.regularised_friction import RegularisedFriction
 from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
-FORMS = (*EFFECTS, *(f"softer {name}" for name, entry in CATALOGUE.items() if entry.variants))
-FORMS = (*FORMS, *(f"softer softer {name}" for name, kind in EFFECTS.items() if issubclass(kind, RegularisedFriction)))
+FORMS = (*EFFECTS, *(f"nonideal {name}" for name, entry in CATALOGUE.items() if entry.variants))
+FORMS = (
+    *FORMS,
+    *(f"nonideal nonideal {name}" for name, kind in EFFECTS.items() if issubclass(kind, RegularisedFriction)),
+)
 FORMS = (*FORMS, *(f"{form}: {name}" for name, kind in EFFECTS.items() for form in kind.forms))
 EVERY = pytest.mark.parametrize("name", FORMS)
 UNITS = {"1", "s", "m", "rad", "kg", "N", "Hz", "s²", "kg·m²", "N·m", "N·s", "rad/s"}
@@ -47,7 +50,7 @@ def at_all_places(name, model):
     found = EFFECTS[plain].everywhere(model.body, model.body.keypoint_names)
     if EFFECTS[plain].forms:
         found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
-    for _ in range(form.count("softer")):
+    for _ in range(form.count("nonideal")):
         found = [effect.nonideal() for effect in found]
     several = EFFECTS[plain].site in ("pair", "keypoints") or form == "joints:"
     assert found or (several and model.body.num_joints == 1)

@@ -204,9 +204,9 @@ def test_a_variant_is_the_same_effect_with_more_parameters(name, arm):
     every = EFFECTS[name].everywhere(model.body, model.body.keypoint_names)
     ideal = next(effect for effect in reversed(every) if effect.form is None).bound(model.body)
     soft = ideal.nonideal()
-    softer = ["coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "link_flexibility"]
-    softer += ["torque_ripple", "soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
-    assert (soft is not None) == (name in softer)
+    nonideal = ["coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "link_flexibility"]
+    nonideal += ["torque_ripple", "soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
+    assert (soft is not None) == (name in nonideal)
     if soft is None:
         return
     assert (soft.key, soft.place, soft.variant) == (ideal.key, ideal.place, ideal.variant + 1)

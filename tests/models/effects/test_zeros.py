@@ -27,7 +27,7 @@ SIZES = ((0.3, 1.5), (0.25, 0.8))
 
 
 def forms(kind, body):
-    """The effect at all places of a body, in every form, and the softer ones."""
+    """The effect at all places of a body, in every form, and the non-ideal ones."""
     for effect in kind.everywhere(body, body.keypoint_names):
         while effect is not None:
             yield effect
