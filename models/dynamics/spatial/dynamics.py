@@ -30,6 +30,7 @@ from invdyn.models.dynamics.spatial.motion import Motion
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled, has_tangent, is_plain, is_there
 from invdyn.models.dynamics.traced.expressions import Graph, Scalar
 from invdyn.models.dynamics.traced.programs import Program, program
+from invdyn.models.dynamics.traced.sincos import ANGLE, FUNCTIONS, turned
 from invdyn.models.shapes import common, join, stacked
 
 POSES = ((0.6, 1.1), (2.3, -0.7), (-1.9, 0.4))
@@ -196,13 +197,15 @@ class SpatialDynamics(Dynamics):
         """Outputs (..., O) of a method's program, laid out by column."""
         joint = self._with_driven(driven, {name: value for name, value in given.items() if value is not None})
         body, traced, numbers = self._prepared(method, p, "own" in joint)
-        joint |= {word: turned(joint["q"]) for word, turned in TURNED.items() if word in traced.words}
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
         learned = body.has_tangent or (torch.is_grad_enabled() and body.is_differentiated)
         plain = not learned and is_plain(*joint.values(), *numbers[:1])
         if self._compiled and plain and self._compiled.pays(traced, batch):
             return self._compiled(method, traced, joint, numbers, batch)
+        if any(word in FUNCTIONS for word in traced.words):  # as machine code has them, where that may come
+            angles = joint[ANGLE]
+            joint |= turned(angles) if self._compiled and plain else {"cos": angles.cos(), "sin": angles.sin()}
         columns = {word: joint[word].unbind(-1) for word in traced.words}
         outputs = traced.values([columns[word][place] for word, place in traced.moving], numbers)
         if not outputs:  # of a tree without sites
@@ -295,9 +298,6 @@ class SpatialDynamics(Dynamics):
 def _restored(tree: bytes, compile_after: float) -> SpatialDynamics:
     """Dynamics of a pickled tree, whose inertia was checked where it was pickled."""
     return SpatialDynamics(pickle.loads(tree), compile_after, rotors=True)
-
-
-TURNED = {"cos": torch.cos, "sin": torch.sin}
 
 
 def _flat(nested: list) -> list:

@@ -1,8 +1,8 @@
 """Traced programs without gradients, as machine code: torch's numbers to the last bit, in a fraction of its time.
 
 torch takes one operation after the other over all particles, and each costs microseconds for any number of them. The
-machine code (:mod:`.machine_code`) takes all operations for eight particles, then for the next eight. Angles' cosines
-and sines come in ready: torch computes them for many at a time.
+machine code (:mod:`.machine_code`) takes all operations for a block of particles, then for the next. Angles' cosines
+and sines are computed there too.
 
 Compiling pays where a program runs often. As both ways give the same bits, it is only a matter of time which one runs:
 a program is compiled once torch has spent on it about what compiling costs (the ski-rental rule: Karlin, Manasse,
@@ -20,8 +20,9 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from invdyn.models.dynamics.traced.machine_code import LANES, MachineCode, machine_code
+from invdyn.models.dynamics.traced.machine_code import MachineCode, lanes, machine_code
 from invdyn.models.dynamics.traced.programs import Program
+from invdyn.models.dynamics.traced.sincos import inputs
 
 PAYS = 20
 """Calls of torch that cost what compiling does; particles beyond the first of a call cost ``EACH`` of one more."""
@@ -83,16 +84,17 @@ class Compiled:
         N = math.prod(batch) // B
         if not N:
             return like.new_empty(len(traced.source.results), *batch).movedim(0, -1)
-        given: Sequence[Tensor] = [_by_column(joint[word], batch) for word in traced.words]
-        if N < LANES and given:  # all at once: this is every step of one body's simulation
+        given: Sequence[Tensor] = [_by_column(joint[word], batch) for word in inputs(traced)]
+        few = lanes(dtype) > N
+        if few and given:  # all at once: this is every step of one body's simulation
             room = _filled(torch.cat([each.reshape(-1, B, N) for each in given]))
             given = room.split([len(each) for each in given])
         words = (ctypes.c_void_p * len(given))(*(each.data_ptr() for each in given))
         rows = len(traced.source.results)
-        out = torch.empty(rows, B, max(N, LANES), dtype=dtype)
+        out = torch.empty(rows, B, max(N, lanes(dtype)), dtype=dtype)
         call = self._compiled(method, traced, dtype, own)
         call(words, body.data_ptr(), out.data_ptr(), B, out.shape[-1])
-        return (out if N >= LANES else out[..., :N]).reshape(rows, *batch).movedim(0, -1)
+        return (out[..., :N] if few else out).reshape(rows, *batch).movedim(0, -1)
 
     def _body(self, method: str, numbers: Sequence[Tensor], batch: Sequence[int], dtype: torch.dtype) -> tuple:
         """Numbers (count, B), or (count, 1, N) where each particle has its own: True then.
@@ -141,5 +143,5 @@ def _by_column(value: Tensor, batch: Sequence[int]) -> Tensor:
 
 def _filled(columns: Tensor) -> Tensor:
     """The same, with zeros up to one block where there are fewer particles."""
-    missing = LANES - columns.shape[-1]
+    missing = lanes(columns.dtype) - columns.shape[-1]
     return torch.nn.functional.pad(columns, (0, missing)) if missing > 0 else columns

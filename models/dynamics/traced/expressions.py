@@ -18,7 +18,10 @@ from typing import Any, NamedTuple
 
 
 class Node(NamedTuple):
-    """`kind` is "argument", "+", "-", "*", "/" or "neg"; operands are numbers of nodes, or floats."""
+    """`kind` is "argument", "+", "-", "*", "/", "neg" or a function; operands are numbers of nodes, or floats.
+
+    Functions: "round" to the nearest integer, "floor", "clamp" (x, b) to [−b, b], "choose" (c, a, b): a where c ≠ 0.
+    """
 
     kind: str
     operands: tuple
@@ -130,6 +133,22 @@ class Expression:
 
     def __rtruediv__(self, other: float) -> "Expression":
         return self.graph.operation("/", float(other), self)
+
+    def rounded(self) -> "Expression":
+        """The nearest integer, the even one of two."""
+        return self.graph.operation("round", self)
+
+    def floored(self) -> "Expression":
+        """The integer at or below."""
+        return self.graph.operation("floor", self)
+
+    def clamped(self, bound: float) -> "Expression":
+        """Within [−bound, bound]; NaN stays."""
+        return self.graph.operation("clamp", self, bound)
+
+    def chosen(self, one: "Expression", other: "Expression") -> "Expression":
+        """``one`` where this is not 0, else the ``other``."""
+        return self.graph.operation("choose", self, one, other)
 
     def __pow__(self, power: int) -> Any:
         """By multiplication, as torch has a square."""

@@ -1,7 +1,7 @@
 """A traced graph as Python source: one function for the numbers of a body, one for what moves.
 
-Both are straight lines of +, −, × and ÷, written and compiled here at run time, and know nothing of what they compute
-with. `machine_code.py` writes the same lines for LLVM.
+Both are straight lines of +, −, × and ÷ (and, of angles, ``FUNCTIONS``), written and compiled here at run time. The
+first four know nothing of what they compute with. `machine_code.py` writes the same lines for LLVM.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,7 +9,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import torch
+
 from invdyn.models.dynamics.traced.expressions import Expression, Graph, Scalar
+
+FUNCTIONS: dict[str, Callable] = {
+    "round": torch.round,
+    "floor": torch.floor,
+    "clamp": lambda x, bound: x.clamp(-bound, bound),
+    "choose": lambda condition, one, other: torch.where(condition != 0, one, other),
+}
+"""Operations that Python has no sign for."""
 
 
 class Line(NamedTuple):
@@ -22,6 +32,8 @@ class Line(NamedTuple):
     @property
     def text(self) -> str:
         """In Python."""
+        if self.kind in FUNCTIONS:
+            return f"{self.name} = {self.kind}({', '.join(self.operands)})"
         right = f"-{self.operands[0]}" if self.kind == "neg" else f" {self.kind} ".join(self.operands)
         return f"{self.name} = {right}"
 
@@ -102,6 +114,6 @@ def _function(head: str, source: Lines) -> Callable:
     body = [f"{', '.join(names)}, = {word}" for word, names in unpacked.items() if names]
     body += [*(line.text for line in source.lines), f"return [{', '.join(source.results)}]"]
     text = f"def {head}:\n" + "".join(f"    {line}\n" for line in body)
-    space: dict = dict(source.literals)
+    space: dict = FUNCTIONS | source.literals
     exec(compile(text, f"<traced {head}>", "exec"), space)
     return space[head.partition("(")[0]]

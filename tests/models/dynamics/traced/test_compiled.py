@@ -113,8 +113,10 @@ def test_recorded_and_mapped_operations_stay_torchs():
     other = [x.flip(0).contiguous() for x in state]
     with torch.no_grad():
         recorded = make_fx(lambda *given: fast.forward(*given, p))(*state)
-        same(recorded(*other), slow.forward(*other, p))
-        same(torch.func.vmap(lambda *given: fast.forward(*given, p))(*state), slow.forward(*state, p))
+        mapped = torch.func.vmap(lambda *given: fast.forward(*given, p))
+        # their cosines and sines are torch's own, which differ by rounding
+        torch.testing.assert_close(recorded(*other), slow.forward(*other, p), rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(mapped(*state), slow.forward(*state, p), rtol=1e-12, atol=1e-12)
 
 
 def test_what_diverges_shows():
