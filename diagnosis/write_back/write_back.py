@@ -25,6 +25,8 @@ def check_write_back(source: str | Path, out: str | Path) -> None:
     if not resolved(source).exists():
         raise InputError(f"{source} is no file, and only a file has a copy to correct: leave --write-back out")
     content = read_whole(source, body_xml.MOST_BYTES)
+    if f"<{body_xml.OSIM}".encode() in content:
+        raise InputError(f"{source}: no corrected copy is made of an OpenSim model: leave --write-back out")
     suffixes = (
         (".xml", ".mjcf") if b"<mujoco" in content else (".urdf", ".xml") if body_xml.is_xml(content) else (".toml",)
     )

@@ -2,7 +2,7 @@
 
 A robot's file comes from anywhere. Entities are refused, because a few lines of them stand for gigabytes; so is depth
 that no robot has, and a file that it names and that lies elsewhere, is a device, or is too large. Text between elements
-says nothing of a body and is dropped. A prefix stays part of a tag: "xacro:macro".
+is that of an OpenSim model; of others it says nothing and is dropped. A prefix stays part of a tag: "xacro:macro".
 """
 
 from pathlib import Path
@@ -16,11 +16,12 @@ MOST_BYTES = 2**24
 """Bytes of a file in XML or TOML."""
 MOST_ELEMENTS = 50_000
 """Elements of a file and what it includes: MuJoCo takes up to 2.3 kB for each."""
+OSIM = "OpenSimDocument"
+KINDS = {"mujoco": "MJCF", "robot": "URDF", OSIM: "an OpenSim model"}
 DEEPEST = 200
 """Elements within each other."""
 OTHERS = {
     "sdf": "SDF is not read; write the arm as URDF or MJCF, or as a body in TOML",
-    "OpenSimDocument": "an OpenSim model is not read; write its links' lengths, masses and inertias as a body in TOML",
     "COLLADA": "this is a mesh, not a robot; give the URDF or MJCF that uses it",
 }
 
@@ -41,6 +42,8 @@ def parse(content: bytes, where: str) -> Element:
             raise BodyError(f"{where}: expected at most {MOST_ELEMENTS} elements, got more")
         if open_tags > DEEPEST:
             raise BodyError(f"{where}: expected at most {DEEPEST} elements within each other, got more")
+        if elements == 1 and tag == OSIM:
+            parser.CharacterDataHandler = builder.data
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:
@@ -63,13 +66,12 @@ def parse(content: bytes, where: str) -> Element:
 
 
 def check_root(root: Element, wanted: str, where: str) -> None:
-    """Raise `BodyError`, with what to do instead, unless the root is `wanted`: "mujoco" or "robot"."""
+    """Raise `BodyError`, with what to do instead, unless the root is `wanted`, a key of `KINDS`."""
     if root.tag == wanted:
         return
     if root.tag in OTHERS:
         raise BodyError(f"{where}: {OTHERS[root.tag]}")
-    kind = {"mujoco": "MJCF", "robot": "URDF"}[wanted]
-    raise BodyError(f"{where}: expected {kind}, with <{wanted}> around it, got <{root.tag:.60}>")
+    raise BodyError(f"{where}: expected {KINDS[wanted]}, with <{wanted}> around it, got <{root.tag:.60}>")
 
 
 def nearby(name: str, folder: Path, where: str) -> Path:

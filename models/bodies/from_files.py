@@ -48,12 +48,14 @@ class FromFiles:
 
     @classmethod
     def load(cls, path: str | Path, *, filmed: bool = True, dimensions: int | None = None) -> Self:
-        """Read a body file: MJCF (<mujoco>), URDF (<robot>) or TOML; the content says which, not the name.
+        """Read a body file: MJCF (<mujoco>), URDF (<robot>), OpenSim's (.osim) or TOML; the content says which.
 
         A robot's file of hinges about one of the axes x, y and z, without a branch, is a chain in the plane, unless
         ``dimensions`` is 3, as where a recording shows it in space; then every site of its file is a keypoint. A chain
         in the plane has its centres of mass on the lines of its joints: a robot that has one off them, and is not
         ``filmed`` in a plane, is a tree, and a warning (UserWarning) says so.
+
+        An OpenSim model is a body in space, with the coordinates of its own motions (.mot) and markers.
 
         Raises `BodyError`, which names the file and what to do, or `OSError` if it cannot be read.
         """
@@ -62,7 +64,7 @@ class FromFiles:
             return cls.from_tables(body_toml.parse(content, str(path)), path)
         robot = robot_file.of(content, str(path))
         if dimensions is None:
-            dimensions = 2 if is_planar_chain(robot.parts) else 3
+            dimensions = 2 if robot.angles_are_free and is_planar_chain(robot.parts) else 3
             if dimensions == 2 and not filmed and (off := body_chain.masses_off_line(robot, str(path))):
                 words = f"in the plane it would leave out {'; '.join(off)}"
                 warnings.warn(f"{path}: taken as a body in space; {words}", stacklevel=2)

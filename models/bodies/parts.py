@@ -55,13 +55,14 @@ class Robot:
     """A file's parts, and gravity (3,) m/s².
 
     `joint_parts` is what its joints have besides, in the file's own angles, by name; `left_out` are words for what it
-    has and links with such joints lack.
+    has and links with such joints lack. `angles_are_free`: no recording comes in the file's own angles.
     """
 
     parts: Sequence[Part]
     gravity: np.ndarray
     left_out: Sequence[str] = ()
     joint_parts: Mapping[str, JointParts] = field(default_factory=dict)
+    angles_are_free: bool = True
 
 
 def groups(parts: Sequence[Part]) -> tuple[list[list[Part]], list[int]]:

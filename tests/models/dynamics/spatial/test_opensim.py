@@ -1,60 +1,47 @@
-"""OpenSim's own inverse dynamics of a recorded arm, made of its inverse kinematics by ours.
-
-The model's numbers are read from its file here, all of them; muscles play no part in inverse dynamics.
-"""
-
-from xml.etree import ElementTree
+"""OpenSim's own inverse dynamics of recorded people, made of its inverse kinematics by ours, with its own models."""
 
 import numpy as np
 import pytest
 import torch
 from scipy.interpolate import make_interp_spline
 
-from invdyn.models import Body, Joint, Link, dynamics_for
+from invdyn.models import Body, dynamics_for
 from invdyn.recordings import load
 from invdyn.recordings.formats.opensim import read_sto, write_moments, write_motion
 
 
-def numbers(element, tag):
-    return np.array([float(word) for word in element.find(tag).text.split()])
-
-
-def arm26(path):
-    """Two hinges: each about the first axis of a joint's SpatialTransform, at its parent's frame."""
-    model = ElementTree.parse(path).getroot()
-    bodies = {body.get("name"): body for body in model.iter("Body")}
-    joints = {joint.get("name"): joint for joint in model.iter("CustomJoint")}
-    raised = numbers(next(model.iter("WeldJoint")).find("frames/PhysicalOffsetFrame"), "translation")
-
-    def link(name, joint, parent, above):
-        axis = numbers(joints[joint].find("SpatialTransform/TransformAxis"), "axis")
-        return Link(
-            name,
-            Joint(joints[joint].find("coordinates/Coordinate").get("name"), axis=tuple(axis / np.linalg.norm(axis))),
-            parent=parent,
-            origin=above + numbers(joints[joint].find("frames/PhysicalOffsetFrame"), "translation"),
-            mass=float(bodies[name].find("mass").text),
-            com=numbers(bodies[name], "mass_center"),
-            inertia=numbers(bodies[name], "inertia"),
-        )
-
-    humerus = link("r_humerus", "r_shoulder", "world", raised)
-    forearm = link("r_ulna_radius_hand", "r_elbow", "r_humerus", np.zeros(3))
-    return Body("arm26", [humerus, forearm], numbers(model.find("Model"), "gravity"))
+def quintic(time, angles):
+    """Angles, rates and accelerations by OpenSim's splines, which are natural at both ends."""
+    ends = [(order, np.zeros(angles.shape[1])) for order in (3, 4)]
+    spline = make_interp_spline(time, angles, k=5, bc_type=(ends, ends))
+    return [torch.tensor(spline(time, order)) for order in range(3)]
 
 
 def test_inverse_dynamics_of_an_arm(data_folder):
-    """OpenSim puts quintic splines that are natural at both ends through the angles; its file has ten digits."""
+    """OpenSim's file has ten digits."""
     folder = data_folder / "opensim_arm26"
-    tree, motion = arm26(folder / "arm26.osim"), load(folder / "arm26_InverseKinematics.mot")
+    with pytest.warns(UserWarning, match=r"muscles \(TRIlong, .*; wrapping surfaces \(TRIlongglen"):
+        tree = Body.load(folder / "arm26.osim")
+    motion = load(folder / "arm26_InverseKinematics.mot")
     assert motion.joint_names == tree.joint_names
-    spline = make_interp_spline(motion.time, motion.angles, k=5, bc_type=([(3, np.zeros(2)), (4, np.zeros(2))],) * 2)
-    state = [torch.tensor(spline(motion.time, order)) for order in range(3)]
-    ours = dynamics_for(tree).inverse(*state, tree.parameters()).numpy()
+    ours = dynamics_for(tree).inverse(*quintic(motion.time, motion.angles), tree.parameters()).numpy()
     table = read_sto(folder / "arm26_InverseDynamics_Unfiltered.sto")
     theirs = np.stack([table[f"{joint}_moment"] for joint in tree.joint_names], -1)
     off = np.sqrt(((ours - theirs) ** 2).mean(0) / (theirs**2).mean(0))
     assert (off < 1e-7).all()
+
+
+def test_markers_lie_where_they_were_recorded(data_folder):
+    """Inverse kinematics laid them within a millimetre of the .trc, whose y is up, too."""
+    folder = data_folder / "opensim_arm26"
+    with pytest.warns(UserWarning, match="muscles"):
+        tree = Body.load(folder / "arm26.osim")
+    with pytest.warns(UserWarning, match="z is up here"):
+        seen = load(folder / "arm26_elbow_flex.trc")
+    motion = load(folder / "arm26_InverseKinematics.mot")
+    sites = dynamics_for(tree).keypoints(torch.tensor(motion.angles), tree.parameters()).numpy()
+    for place, name in enumerate(tree.keypoint_names):
+        np.testing.assert_allclose(sites[:, place], seen.keypoint(name), atol=1e-3)
 
 
 def test_opensim_reads_what_is_written(tmp_path, monkeypatch):
