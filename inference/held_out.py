@@ -75,7 +75,8 @@ def belief(idata: az.InferenceData, model: StateSpaceModel) -> tuple[Tensor, Ten
     Raises InputError where the posterior does not hold the whole state, or too few draws of it.
     """
     posterior = idata["posterior"].isel(time=-1)
-    torque = "residual_torque" if "residual_torque" in posterior else "torque"
+    kept = ("residual_torque", "stated_torque", "torque")  # the model's own, of the body as its file has it
+    torque = next(name for name in kept if name in posterior)
     pieces = [posterior[name].transpose("chain", "draw", "joint").values for name in (torque, "angle", "velocity")]
     draws = np.concatenate(pieces, -1)
     if draws.shape[-1] != model.state_dim:

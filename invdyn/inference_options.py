@@ -4,13 +4,14 @@ import inspect
 import re
 from collections.abc import Collection
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .options import MAX_WORKERS, Device, Draws, Filters, FiltersPerTask, Particles, Seed, Workers
 from .recording_options import Recorded
+from .settings import Setting, yes
 
 if TYPE_CHECKING:
     from invdyn.recordings.reading import TrackedFilm
@@ -56,6 +57,7 @@ class Inference(Recorded):
     workers: Workers = None
     device: Device = "cpu"
     filters_per_task: FiltersPerTask = None
+    exact_body: Annotated[bool, Setting("yes: the numbers of a robot's file are exact; default: no", yes)] = False
 
     def check(self, *methods: str) -> None:
         """Raise InputError for a name that is not known."""
@@ -121,6 +123,7 @@ class Inference(Recorded):
         if not self.calibration and (cameras := [word for word in self.learned if word in CAMERAS]):
             raise InputError(f"--learn {cameras[0]} needs several cameras: pass --calibration, and a file for each one")
         body = self.read_body(filmed=source is not LOG)
+        body = replace(body, exact=True) if self.exact_body else body
         more |= {"frames": self.frames, "guessed": LENGTHS in self.learned}
         readings = read_recordings(self.recordings, body, **self.reading, **more)
         if len(readings) > 1:

@@ -43,10 +43,17 @@ class Setting:
         except ValueError:
             value = None
         if value is None or (self.least is not None and not value >= self.least):
-            what = {int: "a whole number", float: "a number"}.get(self.kind, "a value")  # type: ignore[call-overload]
+            what = {int: "a whole number", float: "a number", yes: "yes or no"}.get(self.kind, "a value")  # type: ignore[call-overload]
             least = "" if self.least is None else f" from {self.least:g} on"
             raise InputError(f"--set {name}: expected {what}{least}, got {text!r}")
         return value
+
+
+def yes(text: str) -> bool:
+    """Whether a text is "yes"; raises ValueError unless it is that or "no"."""
+    if text not in ("yes", "no"):
+        raise ValueError(text)
+    return text == "yes"
 
 
 Assignments = Annotated[

@@ -205,7 +205,7 @@ def diagnosis_problem(
     fast = velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt()
     model = model.moving(fast * rules.recording.motion_share)
     model = model.in_substeps(sufficient_substeps(model, usual))
-    return DiagnosisProblem(replace(problem, model=model), regime, uncertain, tuple(starts), rules=rules)
+    return DiagnosisProblem(replace(problem, model=model, doubted=False), regime, uncertain, tuple(starts), rules=rules)
 
 
 def _untracked(recording: Recording, body: ArticulatedBody) -> list[str]:

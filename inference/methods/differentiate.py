@@ -14,6 +14,7 @@ Shapes: T frames, K joints; time (T,) s, angles (T, K) rad.
 """
 
 import math
+from dataclasses import replace
 
 import arviz as az
 import numpy as np
@@ -193,7 +194,7 @@ def differentiate(
         progress(1, 1, "differentiate")
     with seeded(seed):
         return to_inference_data(
-            problem,
+            replace(problem, doubted=False),  # one path says nothing of bodies that may differ
             path[None, None],
             method="differentiate",
             seed=seed,

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.posterior.arm_contents import arm_contents
+from invdyn.inference.posterior.body_doubt import is_doubted, with_doubted_body
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, poles
 from invdyn.inference.posterior.jitter import jitter, point_jitter, robust_sd, seen_vectors
@@ -60,6 +61,7 @@ class Problem(StateSpaceProblem):
         notes: what was decided on the way that a reader of the result must know.
         origin: the recording's time, s, at which the model's is 0. Single precision tells no two rows apart in
             seconds since 1970.
+        doubted: whether torques are those of bodies that may differ from the file (:mod:`.body_doubt`).
     """
 
     model: ArmModel
@@ -67,6 +69,7 @@ class Problem(StateSpaceProblem):
     truth: Truth | None = None
     notes: tuple[str, ...] = ()
     origin: float = 0.0
+    doubted: bool = False
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -80,7 +83,8 @@ class Problem(StateSpaceProblem):
     def contents(self, paths: Tensor, rows: Tensor) -> Contents:
         """Return torques, angles, velocities and keypoints, by name."""
         model = self.model.to(dtype=torch.float64)
-        return arm_contents(model, self.observations, self.recording, self.truth, self.notes, paths, rows)
+        found = arm_contents(model, self.observations, self.recording, self.truth, self.notes, paths, rows)
+        return with_doubted_body(found, model, paths) if self.doubted and "torque" in found.posterior else found
 
 
 def arm_problem(
@@ -179,7 +183,7 @@ def arm_problem(
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
     known = None if truth is None else truth.at(recording.time)
-    return Problem(model, observations, recording, known, notes, origin)
+    return Problem(model, observations, recording, known, notes, origin, is_doubted(model))
 
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:

@@ -35,8 +35,8 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     frame, joint = ["chain", "draw", "time"], ["chain", "draw", "time", "joint"]
 
     def constant(part: str) -> torch.Tensor:
-        if part in posterior and "link" in posterior[part].dims:  # an uncertain body: its scalars differ between draws
-            return tensor(posterior[part].transpose("chain", "draw", "link", ...)).unsqueeze(2)
+        if part in posterior and "time" not in posterior[part].dims:  # an uncertain body, which draws differ in
+            return tensor(posterior[part].transpose("chain", "draw", ...)).unsqueeze(2)
         return tensor(constants[part])
 
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))

@@ -52,7 +52,8 @@ class Body(FromFiles, BodyBase):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
     `uncertainty` has relative sds of all masses (in the plane of length, com and inertia, too), and of joints' parts by
-    quantity or of one joint: "mass", "damping", "damping.elbow".
+    quantity or of one joint: "mass", "damping", "damping.elbow". `exact` says whether all else is known as it stands:
+    a robot's file, MJCF or URDF, has no place to say so, and its body is not, until it is told to be.
 
     Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
     not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia
@@ -64,6 +65,7 @@ class Body(FromFiles, BodyBase):
     gravity: Sequence[float] = (0.0, 0.0, -9.81)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     dimensions: int = 3
+    exact: bool = field(default=True, compare=False)
 
     def __post_init__(self) -> None:
         check_name(self.name, "name of a body")

@@ -106,13 +106,15 @@ class FromFiles:
         if dimensions is None:
             dimensions = 2 if is_planar_chain(robot.parts) else 3
         tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
-        return cls._of(tables, path, dimensions)
+        return cls._of(tables | {"exact": False}, path, dimensions)
 
     @classmethod
     def _of(cls, tables: dict, path: str | Path, dimensions: int) -> Self:
         try:
             if dimensions == 2:
-                body = cls(**planar.chained(**tables | {"links": [Link(**link) for link in tables["links"]]}))
+                own = {key: value for key, value in tables.items() if key != "exact"}
+                chain = planar.chained(**own | {"links": [Link(**link) for link in tables["links"]]})
+                body = cls(**chain, exact=tables.get("exact", True))
             else:
                 links = [Link(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
                 body = cls(**tables | {"links": links})

@@ -1,0 +1,115 @@
+"""What a robot's file does not say of its body, how well it is known, as a part of the torques' uncertainty.
+
+Where the motion is observed and the torque is not, the torque follows from the motion and the body's numbers φ,
+
+    τ(φ) = D(q; φ) q̈ + h(q, q̇; φ) + c(q; φ),
+
+with masses, centres of mass, moments and the direction of gravity in φ. The motion tells none of them: twice the mass
+moves alike under twice the torque. What the torque's prior prefers is no knowledge of the body, so the posterior of φ
+is cut off from it and stays its prior (M. Plummer, "Cuts in Bayesian graphical models", Statistics and Computing 25,
+2015). Each draw of a path has a draw of φ of its own, and the torque
+
+    τ + τ(φ) − τ(φ̄),
+
+which is linear in m, m c and the moments about the joint (C. Atkeson, C. An and J. Hollerbach, "Estimation of inertial
+parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as long as the recording. Bodies whose file
+states an uncertainty are integrated out by :mod:`invdyn.inference.marginalise` instead, as is right where φ has a part
+in the motion: commands that are known, or lengths before keypoints.
+
+    m ~ LogNormal of relative sd `MASS`              c ~ N(c̄, (`CENTRE` s)²) along each axis, s a link's size
+    moments all times LogNormal of sd `MOMENT`       g turned by N(0, `LEVEL`²) about each level axis
+
+Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
+"""
+
+import torch
+from torch import Tensor
+
+from invdyn.inference.posterior.problem import DRAWS, Contents
+from invdyn.models import ArmModel, Body
+from invdyn.models.bodies.scalars import prior
+from invdyn.models.effects.gravity_tilt import GravityTilt
+from invdyn.models.effects.inertias import size_of
+
+MASS, MOMENT = 0.05, 0.1
+"""Relative sds. Policies for real robots are trained under more: J. Tan and others (RSS 2018) vary masses by 20 % and
+inertias by 50 %, uniformly, which are sds of 12 and 29 %.
+"""
+CENTRE = 0.05
+"""Of a link's size: one to two centimetres of an arm's link."""
+LEVEL = 0.0175
+"""rad, one degree: how far from level a bench, or the frame of a laboratory, is."""
+CHANGED = ("mass", "com", "inertia", "gravity")
+NOTE = (
+    "the body's file does not say how well its numbers are known: the bands count masses and moments as known to "
+    f"{MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, and level to 1°"
+)
+
+
+def is_doubted(model: ArmModel) -> bool:
+    """Whether a body of unknown torque has numbers of which nobody said how well they are known."""
+    body = model.body
+    if not isinstance(body, Body) or model.command is not None:
+        return False
+    return not (body.exact or body.uncertainty or body.has_priors)
+
+
+def drawn(model: ArmModel, shape: tuple[int, ...]) -> tuple:
+    """Draws of the body's numbers, each (*shape, own), by torch's global generator."""
+    numbers = model.body_parameters()
+
+    def factor(sd: float, like: Tensor) -> Tensor:
+        return prior(1.0, sd).sample((*shape, *like.shape)).to(like)
+
+    sizes = torch.tensor([size_of(numbers, link) for link in range(len(model.body.link_names))]).to(numbers.com)
+    if numbers.com.ndim > 1:
+        sizes = sizes.unsqueeze(-1)
+    moments = factor(MOMENT, numbers.mass)
+    if numbers.inertia.ndim > 1:
+        moments = moments.unsqueeze(-1)
+    changed = numbers._replace(
+        mass=numbers.mass * factor(MASS, numbers.mass),
+        com=numbers.com + CENTRE * sizes * torch.randn(*shape, *numbers.com.shape).to(numbers.com),
+        inertia=numbers.inertia * moments,
+        gravity=numbers.gravity.expand(*shape, -1),
+    )
+    if not bool(numbers.gravity.any()):
+        return changed
+    tilt = GravityTilt().bound(model.body)
+    angles = {each.name: LEVEL * torch.randn(*shape, 1).to(numbers.mass) for each in tilt.parameters(model.scale)}
+    return tilt.body(angles, changed)
+
+
+def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Contents:
+    """The contents of a posterior with torques of bodies that may differ from the file.
+
+    Args:
+        contents: of the body as its file has it, whose ``posterior`` is changed: "torque" is that of a drawn body,
+            "stated_torque" that of the file's. The numbers that differ between draws become variables.
+        model: of the arm, in float64.
+        paths: (M, R, T, D) draws of the states.
+    """
+    nominal, other = model.body_parameters(), drawn(model, tuple(paths.shape[:2]))
+    _, q, qd = model.split(paths)
+    qdd = model.acceleration(paths, torch.arange(paths.shape[-2]), nominal)
+    # One body for all rows of a draw; what does not differ between draws broadcasts as it is.
+    wide = other._replace(**{name: getattr(other, name).unsqueeze(2) for name in CHANGED})
+    q, qd, qdd = (each.contiguous() for each in torch.broadcast_tensors(q, qd, qdd))
+    change = model.dynamics.inverse(q, qd, qdd, wide) - model.dynamics.inverse(q, qd, qdd, nominal)
+    dims, torque = contents.posterior["torque"]
+    posterior = contents.posterior | {"torque": (dims, torque + change), "stated_torque": (dims, torque)}
+    for name, (own, _) in model.body.described(nominal).items():
+        if name in CHANGED:
+            posterior[name] = [*DRAWS, *own], getattr(other, name)
+    units = contents.units | {"stated_torque": contents.units["torque"]}
+    attributes = contents.attributes | {"body_doubt": NOTE}
+    return Contents(
+        posterior,
+        contents.predictive,
+        contents.observed,
+        contents.constants,
+        contents.coords,
+        units,
+        attributes,
+        contents.observed_coords,
+    )

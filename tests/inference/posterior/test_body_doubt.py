@@ -1,0 +1,147 @@
+"""Torques of a robot whose file does not say how well its numbers are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import infer, mechanics, pooled
+from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.posterior import body_doubt
+from invdyn.inference.posterior.initialise import arm_problem
+from invdyn.models import Body, Joint, Link, planar_body, write_mjcf
+from invdyn.models.effects.inertias import size_of
+from invdyn.recordings import Recording
+
+KNOWN = {"torque.scale": 3.0, "torque.decay": 3.0, "emission.angle_scale": 1e-4}
+SIZES = {"num_filters": 40, "num_draws": 25, "seed": 1, "settings": KNOWN, "method": "laplace"}
+TREE = Body(
+    "robot",
+    [
+        Link(
+            "upper",
+            Joint("swing", axis=(0.0, 1.0, 0.0)),
+            mass=2.0,
+            com=(0.02, 0.0, -0.15),
+            inertia=(0.02, 0.02, 0.004, 0.0, 0.0, 0.0),
+            sites={"elbow": (0.0, 0.0, -0.3)},
+        ),
+        Link(
+            "fore",
+            Joint("bend", axis=(1.0, 0.0, 0.0)),
+            parent="upper",
+            origin=(0.0, 0.0, -0.3),
+            mass=1.0,
+            com=(0.0, 0.01, -0.1),
+            inertia=(0.006, 0.006, 0.001, 0.0, 0.0, 0.0),
+            sites={"wrist": (0.0, 0.0, -0.25)},
+        ),
+    ],
+)
+LINKS = [Link("a", "swing", "elbow", length=0.3, mass=2.0), Link("b", "bend", "wrist", length=0.25, mass=1.0)]
+BODIES = {2: planar_body("chain", LINKS), 3: TREE}
+
+
+def of_encoders(rows=25):
+    time = 0.04 * np.arange(rows)
+    angles = np.stack([0.5 * np.sin(3 * time) + 0.4, 0.7 * np.cos(2 * time)], -1)
+    angles += 1e-4 * np.random.default_rng(0).normal(size=angles.shape)
+    return Recording(time, np.empty((rows, 0, 3)), (), angles=angles, joint_names=TREE.joint_names)
+
+
+@pytest.fixture
+def file(tmp_path):
+    write_mjcf(TREE, tmp_path / "robot.xml")
+    return tmp_path / "robot.xml"
+
+
+def band(idata, name="torque"):
+    return pooled(idata)[name].transpose("sample", "time", "joint").values
+
+
+def test_the_bands_hold_what_the_file_leaves_open(file):
+    body = Body.from_mjcf(file, dimensions=3)
+    assert not body.exact
+    found, exact = infer(of_encoders(), body, **SIZES), infer(of_encoders(), replace(body, exact=True), **SIZES)
+    assert "masses and moments" in found.attrs["body_doubt"]
+    np.testing.assert_allclose(band(found, "stated_torque"), band(exact), rtol=1e-12)
+    wide, narrow = band(found).var(0)[:-1], band(exact).var(0)[:-1]  # nothing follows the last row, which tells least
+    assert (wide > 2 * narrow).all()
+    assert abs(band(found).mean(0) - band(exact).mean(0))[:-1].max() < 4 * np.sqrt(wide.max() / 1000)
+    assert "body_doubt" not in exact.attrs
+    assert "stated_torque" not in exact.posterior
+
+
+def test_what_is_stated_or_commanded_is_left_as_it_is(file, tmp_path):
+    body, recording = Body.from_mjcf(file, dimensions=3), of_encoders()
+    assert arm_problem(recording, body).doubted
+    assert not arm_problem(recording, body, passive=True).doubted
+    assert not arm_problem(recording, replace(body, uncertainty={"mass": 0.0})).doubted
+    body.to_toml(tmp_path / "robot.toml")
+    assert not arm_problem(recording, Body.load(tmp_path / "robot.toml")).doubted
+    plain = infer(recording, body, **SIZES | {"method": "differentiate"})
+    assert "stated_torque" not in plain.posterior
+
+
+def test_each_draw_keeps_its_motion_under_its_own_body(file):
+    """D θ̈ + h + c = τ with the numbers of each draw, as :func:`.mechanics` takes them."""
+    body = Body.from_mjcf(file, dimensions=3)
+    found = infer(of_encoders(), body, **SIZES)
+    own = mechanics(found, body)["acceleration"].values
+    numbers = ["mass", "com", "inertia", "gravity", "torque"]
+    stated = found.copy()
+    stated.posterior = found.posterior.drop_vars(numbers).rename(stated_torque="torque")
+    np.testing.assert_allclose(own, mechanics(stated, body)["acceleration"].values, atol=1e-9)
+    assert found.posterior["mass"].dims == ("chain", "draw", "link")
+
+
+@pytest.mark.parametrize("dimensions", BODIES)
+def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
+    """Y Σ Yᵀ, with Y by differences, and all rows of one draw moved together."""
+    body = replace(BODIES[dimensions], exact=False)
+    problem = arm_problem(of_encoders(8), body, parameters=KNOWN)
+    model = problem.model
+    p = model.body_parameters()
+    path = model.initial_paths(problem.observations)[0]
+    draws = path.expand(4000, 1, -1, -1)
+    with seeded(0):
+        found = problem.contents(draws, torch.zeros(4000, 1, 8, model.observation_dim).double()).posterior
+    change = (found["torque"][1] - found["stated_torque"][1])[:, 0].flatten(1)
+
+    _, q, qd = model.split(path)
+    qdd = model.acceleration(path, torch.arange(8), p)
+
+    def slope(name, step):
+        ends = [p._replace(**{name: getattr(p, name) + sign * 1e-3 * step}) for sign in (1, -1)]
+        upper, lower = (model.dynamics.inverse(q, qd, qdd, end).flatten() for end in ends)
+        return (upper - lower) / 2e-3
+
+    units = torch.eye(2).double()
+    columns = [slope("mass", 0.05 * p.mass * unit) for unit in units]
+    columns += [slope("inertia", 0.1 * torch.einsum("l...,l->l...", p.inertia, unit)) for unit in units]
+    for unit, size in zip(units, (size_of(p, 0), size_of(p, 1)), strict=True):
+        steps = [unit] if dimensions == 2 else [torch.outer(unit, axis) for axis in torch.eye(3).double()]
+        columns += [slope("com", 0.05 * size * step) for step in steps]
+    level = torch.eye(dimensions).double()[: dimensions - 1]
+    columns += [slope("gravity", 9.81 * np.pi / 180 * way) for way in level]
+    jacobian = torch.stack(columns, -1)
+    expected, sampled = jacobian @ jacobian.mT, change.mT @ change / len(change)
+    scale = expected.diagonal().sqrt()
+    # 4,000 draws tell a correlation to 1.6 %, a variance to 2.2 %.
+    assert ((expected - sampled) / torch.outer(scale, scale)).abs().max() < 0.08
+
+
+@pytest.mark.long
+def test_it_agrees_with_filters_of_drawn_bodies(file, monkeypatch):
+    """Masses alone, for few rows of which the torque's prior tells little."""
+    for name in ("CENTRE", "MOMENT", "LEVEL"):
+        monkeypatch.setattr(body_doubt, name, 1e-6)
+    body, recording = Body.from_mjcf(file, dimensions=3), of_encoders(12)
+    found = infer(recording, body, **SIZES)
+    drawn = infer(recording, replace(body, uncertainty={"mass": body_doubt.MASS}), **SIZES)
+    assert "stated_torque" not in drawn.posterior
+    ours, theirs = band(found), band(drawn)
+    # 16 bodies tell a standard deviation to 18 %, and weigh a little by what the torque's prior makes of them.
+    assert np.median(ours.std(0) / theirs.std(0)) == pytest.approx(1.0, abs=0.4)
+    assert abs(ours.mean(0) - theirs.mean(0)).max() < 3 * ours.std(0).max() / 4
