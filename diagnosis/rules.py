@@ -236,7 +236,7 @@ class CheckRules:
     sure_remaining: float = number(0.3, "1", "of the misfit, once a sure mistake is put right", "chosen")
     equal_misfit: float = number(1.15, "1", "times the smallest: other mistakes explain it as well", "chosen")
     zero_grid: tuple[float, ...] = number(
-        tuple(np.radians(np.arange(-165, 181, 15)).tolist()), "rad", "zeros that are tried first", "effort"
+        tuple(np.radians(np.arange(-150, 181, 30)).tolist()), "rad", "zeros that are tried first", "effort"
     )
     factor_grid: tuple[float, ...] = number(
         (1e-3, 1e-2, 0.1, 0.2, 0.35, 3, 5, 8, 13, 20, 32, 50, 80, 125, 200, 320, 1000.0),
@@ -247,6 +247,23 @@ class CheckRules:
     max_gain: float = number(2.0, "1", "smaller factors on torques are a gain, for the diagnosis", "stated")
     min_zero: float = number(math.radians(7), "rad", "smaller zeros are an effect, for the diagnosis", "stated")
     min_offset: float = number(0.2, "rms torque", "smaller constant torques are an effect", "stated")
+    min_column_rows: int = number(50, "rows", "of a column, for strays, wraps and repeats to be looked for", "chosen")
+    min_strays: int = number(3, "rows", "of one value, for another publisher's", "chosen")
+    min_stray_share: float = number(0.002, "1", "of all rows, for another publisher's", "chosen")
+    min_stray_step: float = number(10.0, "usual steps", "from the rows around to another publisher's", "chosen")
+    min_jump: float = number(0.75, "1", "of a column's range, from which on a step is a wrap", "chosen")
+    modulus_tolerance: float = number(0.03, "1", "by which a jump may miss a modulus that encoders have", "chosen")
+    min_regular: float = number(
+        0.8, "1", "of the changes that come at equal distances, where values are held", "chosen"
+    )
+    max_delay: float = number(0.1, "s", "from a command to its torque; longer ones are a clock's", "stated")
+    max_lead: float = number(1.5, "rows", "by which a command may follow its motion, by rounding of times", "chosen")
+    max_friction_share: float = number(
+        0.5, "1", "of a joint's torque, that friction beside the file's takes once a delay is put right", "chosen"
+    )
+    delay_grid: tuple[int, ...] = number(
+        (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 90), "rows", "delays that are tried, both ways", "effort"
+    )
     gear_tolerance: float = number(0.05, "1", "gears closer than that are the same", "chosen")
     max_gear: float = number(300.0, "1", "of a robot, of which the largest have 160", "stated")
     max_tilt: float = number(0.45, "rad", "of gravity: three sds of its prior", "stated")
@@ -260,6 +277,8 @@ class CheckRules:
     range_tolerance: float = number(0.5, "of ±100", "by which a number is at the end of its range", "stated")
     cubic_windows: tuple[int, ...] = number((7, 13, 25, 49, 97), "rows", "of the local cubic of a motion", "effort")
     max_fit_rows: int = number(1200, "rows", "of two joints; fewer of more", "effort")
+    scan_rows: int = number(150, "rows", "on which all mistakes are tried first", "effort")
+    max_refitted: int = number(8, "mistakes", "that are tried on all rows then", "effort")
     link_sd: float = number(0.3, "1", "by which a file's number of a link may be off", "stated")
     ridge: float = number(1e-3, "1", "weight of the prior: two sds cost 6 % of the torque", "chosen")
     slow_velocity: float = number(0.1, "rms velocity", "smaller ones have no dry friction's sign", "chosen")

@@ -1,25 +1,32 @@
 """`invdyn check`: whether a log is what it says it is, what its motion excites, and which effects it could show.
 
-Each step needs the one before. First come units, by their size (:mod:`.units`). Then come signs,
-zeros, columns, gears and offsets, by torques against motion (:mod:`..problem.mistakes`); each is put right before the
-next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
+Each step needs the one before. First come rows that are no readings (:mod:`.rows`), then units, by their size
+(:mod:`.units`). Then come signs, zeros, columns, gears and offsets, by torques against motion
+(:mod:`..problem.mistakes`), and where none of these is wrong, the times of commands (:mod:`.command_times`). Each is
+put right before the next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from invdyn.diagnosis.check.command_times import late_commands
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
+from invdyn.diagnosis.check.rows import wrong_rows
 from invdyn.diagnosis.check.units import idle, motions, wrong_units
-from invdyn.diagnosis.check.visible import Visible, visible
 from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, gears, left_by, units
-from invdyn.diagnosis.problem.torque_regression import Explained, Motion, as_large, explain
+from invdyn.diagnosis.problem.torque_fit import Explained, TorqueFit
+from invdyn.diagnosis.problem.torque_regression import Motion, as_large
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.reading import Reading
+
+if TYPE_CHECKING:
+    from invdyn.diagnosis.check.visible import Visible
 
 BY_TORQUES = "signs, zeros, exchanged columns and gears of joints"
 """What torques along a motion show."""
@@ -68,7 +75,7 @@ class Check:
         excited: base parameters, best known first.
         visible: effects; None where the log must be put right first, or where they are not wanted.
         not_looked_at: what only torques along a motion show, and why this log does not; None where it was tested.
-        dropped: whether a mistake was found whose remedy leaves more of a joint's torques than a right log does.
+        nearest: what explains most, and yet leaves more of a joint's torques than a right log does; None of nothing.
     """
 
     recording: str
@@ -76,9 +83,9 @@ class Check:
     unexplained: float | None
     by_joint: dict[str, float]
     excited: tuple[BaseParameter, ...]
-    visible: Visible | None
+    visible: "Visible | None"
     not_looked_at: str | None = None
-    dropped: bool = False
+    nearest: Wrong | None = None
     rules: Rules = DEFAULT
 
     @property
@@ -87,7 +94,9 @@ class Check:
         if self.mistakes or self.unexplained is None:
             return False
         limits = self.rules.check
-        return self.unexplained > limits.max_right_misfit or (self.dropped and self.unexplained > limits.min_misfit)
+        return self.unexplained > limits.max_right_misfit or (
+            self.nearest is not None and self.unexplained > limits.min_misfit
+        )
 
     def to_json(self) -> dict:
         """As a JSON file has it."""
@@ -105,6 +114,7 @@ class Check:
                 }
                 for wrong in self.mistakes
             ],
+            "nearest": None if self.nearest is None or not self.unclear else self.nearest.sentence,
             "not_looked_at": self.not_looked_at,
             "torque_unexplained": self.unexplained,
             "torque_unexplained_by_joint": self.by_joint,
@@ -130,29 +140,44 @@ def check(
     log and body have nothing to do with each other: other joints, or nothing observed.
     """
     reading = Reading(recording) if isinstance(recording, Recording) else recording
+    names = reading.recording.joint_names
+    rows_wrong, reading = wrong_rows(reading, rules)
+    mistakes = [
+        Wrong(each.kind, tuple(names[k] for k in each.joints), each.words, each.remedy, each.value)
+        for each in rows_wrong
+    ]
     implausible, units_wrong, reading = wrong_units(reading, body, rules)
     recording = reading.recording
-    mistakes = [_in_words(each, body.joint_names) for each in units_wrong]
+    mistakes += [_in_words(each, body.joint_names) for each in units_wrong]
     if implausible is not None and not units_wrong:
         mistakes.append(Wrong("refused", (), implausible, "see there", float("nan")))
     left: Explained | None = None
-    dropped = False
+    nearest: Wrong | None = None
     base: list[BaseParameter] = []
     encoders = recording.angles is not None
-    dynamics = dynamics_for(body)
+    fit = TorqueFit(dynamics_for(body), body)
     unclear = any(each.kind == "percent" for each in units_wrong)  # no angle is known, as no range is
-    motion = None if passive or unclear else _motion(reading, body, rules)
+    motion = None if passive or unclear else _motion(reading, fit, rules)
     if motion is not None:
-        found, dropped = find(dynamics, body, motion, encoders=encoders, said=reading.units)
+        found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
+        if not found and (late := late_commands(fit, motion, *_commands(recording, body), rules)) is not None:
+            joints = tuple(body.joint_names[k] for k in late.joints)
+            mistakes.append(Wrong(late.kind, joints, late.words, late.remedy, late.value, late.before, late.after))
+            motion = motion.recommanded(late.commands)
+            found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
         for each in found:
             mistakes.append(_in_words(each.mistake, body.joint_names, each))
             motion = each.mistake.right(motion) or motion
-        left = explain(dynamics, body, motion)
-        base = excited(dynamics, body, motion, left.by_joint)
+        if dropped is not None:
+            nearest = _in_words(dropped.mistake, body.joint_names, dropped)
+        left = fit.explain(motion)
+        base = excited(fit.dynamics, body, motion, left.by_joint)
     shown = None
-    if not mistakes:
+    if effects and not mistakes:
+        from invdyn.diagnosis.check.visible import visible  # the diagnosis, which takes seconds to import
+
         try:
-            shown = visible(recording, body, passive, rules) if effects else None
+            shown = visible(recording, body, passive, rules)
         except InputError as error:
             mistakes.append(Wrong("refused", (), str(error), "see there", float("nan")))
     return Check(
@@ -163,7 +188,7 @@ def check(
         tuple(base),
         shown,
         f"{BY_TORQUES}: {_unmoved(recording, body, passive, unclear)}" if motion is None else None,
-        dropped,
+        nearest,
         rules,
     )
 
@@ -181,13 +206,21 @@ def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear
     return "all torques are zero" if idle(recording, body) else "the log has too few rows"
 
 
-def _motion(reading: Reading, body: ArticulatedBody, rules: Rules) -> Motion | None:
+def _commands(recording: Recording, body: ArticulatedBody) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) and commands (T, K) in the order of the body's joints."""
+    assert recording.torques is not None  # as there is a motion
+    return recording.time, recording.torques[:, [recording.joint_names.index(name) for name in body.joint_names]]
+
+
+def _motion(reading: Reading, fit: TorqueFit, rules: Rules) -> Motion | None:
     """Motion and torques under the window in which they explain most, right or wrong; None of neither."""
+    body = fit.body
     every = motions(reading, body, rules)
     if not every:
         return None
-    dynamics, encoders = dynamics_for(body), reading.recording.angles is not None
-    plain = [explain(dynamics, body, each).misfit for each in every]
+    encoders = reading.recording.angles is not None
+    few = [each.thinned(rules.check.scan_rows) for each in every]
+    plain = [fit.explain(each).misfit for each in few]
     if min(plain) <= rules.check.min_misfit:  # nothing is wrong
         return every[int(np.argmin(plain))]
     known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
@@ -195,10 +228,10 @@ def _motion(reading: Reading, body: ArticulatedBody, rules: Rules) -> Motion | N
         known += gears(terms, reading.units.mapping, rules)
 
     def best(motion: Motion) -> float:
-        own = (explain(dynamics, body, each).misfit for each in (motion, as_large(dynamics, body, motion)))
-        return min(*own, *(left_by(mistake, dynamics, body, motion) for mistake in known))
+        own = (fit.explain(each).misfit for each in (motion, as_large(fit.dynamics, body, motion)))
+        return min(*own, *(left_by(mistake, fit, motion) for mistake in known))
 
-    return min(every, key=best)
+    return every[int(np.argmin([best(motion) for motion in few]))]
 
 
 def _in_words(mistake: Mistake, joints: Sequence[str], found: Found | None = None) -> Wrong:

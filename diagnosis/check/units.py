@@ -19,7 +19,8 @@ import numpy as np
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.problem.mistakes import Mistake, units
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
-from invdyn.diagnosis.problem.torque_regression import Motion, explain, smoothings
+from invdyn.diagnosis.problem.torque_fit import TorqueFit
+from invdyn.diagnosis.problem.torque_regression import Motion, smoothings
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import ArticulatedBody
@@ -137,8 +138,8 @@ def idle(recording: Recording, body: ArticulatedBody) -> bool:
 
 def _missed(reading: Reading, body: ArticulatedBody, rules: Rules) -> float:
     """The misfit of the torques under the window that it is least under; 0 where none are known."""
-    dynamics = dynamics_for(body)
-    return min((explain(dynamics, body, each).misfit for each in motions(reading, body, rules)), default=0.0)
+    fit = TorqueFit(dynamics_for(body), body)
+    return min((fit.explain(each).misfit for each in motions(reading, body, rules)), default=0.0)
 
 
 def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:

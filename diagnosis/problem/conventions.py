@@ -14,7 +14,8 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.problem.mistakes import fixed, left_by, zero
-from invdyn.diagnosis.problem.torque_regression import explain, smoothings
+from invdyn.diagnosis.problem.torque_fit import TorqueFit
+from invdyn.diagnosis.problem.torque_regression import smoothings
 from invdyn.diagnosis.rules import Rules
 from invdyn.models import ArmModel, Body
 from invdyn.recordings import InputError
@@ -86,23 +87,23 @@ def _check_torques(
     name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray, rules: Rules, force: bool
 ) -> None:
     """Torques against what the motion (T, K) asks for under each of the mistakes that no effect looks like."""
-    body, dynamics = model.body, model.dynamics
+    body, fit = model.body, TorqueFit(model.dynamics, model.body)
     motions = smoothings(body, model.time.numpy(), angle, command, rules=rules)
     if not motions:
         return
-    motion = min(motions, key=lambda each: explain(dynamics, body, each).misfit)
-    own = explain(dynamics, body, motion).misfit
+    motion = min(motions, key=lambda each: fit.explain(each).misfit)
+    own = fit.explain(motion).misfit
     if own < rules.check.sure_misfit:
         return
     encoders, joints = model.observation.encoders is not None, body.num_joints
     by_target = () if motion.terms is None else motion.terms.by_target
     known = [each for each in fixed(joints, encoders, by_target) if each.kind in SIGNS]
     known += [zero(k, turn * math.pi / 2) for k in range(joints) for turn in (1, 2, -1) if encoders]
-    best, mistake = min(((left_by(e, dynamics, body, motion), e) for e in known), key=lambda each: each[0])
+    best, mistake = min(((left_by(e, fit, motion), e) for e in known), key=lambda each: each[0])
     righted = mistake.right(motion)
     if best > rules.check.sure_remaining * own or best > rules.check.sure_misfit or righted is None:
         return
-    if explain(dynamics, body, righted).missed(mistake.joints) > rules.check.max_joint_misfit:
+    if fit.explain(righted).missed(mistake.joints) > rules.check.max_joint_misfit:
         return
     names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
     refuse(

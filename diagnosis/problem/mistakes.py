@@ -23,20 +23,20 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
 from operator import methodcaller
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from invdyn.diagnosis.problem.robot_terms import RobotTerms, servos
-from invdyn.diagnosis.problem.torque_regression import Motion, explain, left_by_values, share
+from invdyn.diagnosis.problem.torque_fit import Explained, TorqueFit, share
+from invdyn.diagnosis.problem.torque_regression import Motion
 from invdyn.diagnosis.rules import FIXED, Rules
-from invdyn.models.dynamics.interface import Dynamics
+from invdyn.inference.plausible_for_body import slides
 from invdyn.recordings.logs.mapping import SHIFTS
 from invdyn.recordings.units import TIMES, Units
 
 TIME_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-FITTED = ("zero", "scale", "offset")
+FITTED = ("zero", "scale", "gain", "offset")
 """Kinds with a number that is fitted: of equally good ones, one without a number comes first (Occam's razor). An arm of
 one joint whose direction is the other way could have a zero elsewhere, but only a single one."""
 
@@ -47,11 +47,11 @@ class Mistake:
 
     Attributes:
         kind: "torque sign", "direction", "angle sign", "zero", "degrees", "radians", "percent", "time", "exchanged",
-            "gear", "scale" or "offset".
+            "gear", "scale", "gain" or "offset".
         joints: which ones, by number; none for the whole log.
         words: what is wrong, after "at joint …" where there are joints.
         remedy: what to do about it.
-        value: the zero, rad; the factor that torques, targets or times lack; the gear; the offset, N·m.
+        value: the zero, rad; the factor that torques, targets, gains or times lack; the gear; the offset, N·m.
         right: the motion with it put right; None where that motion cannot have it.
         scales: of a unit, the factors of `angle`, `target` and `time` that a :class:`.Reading` is put right by.
     """
@@ -80,40 +80,48 @@ class Found:
 
 
 def find(
-    dynamics: Dynamics, body: Any, motion: Motion, *, encoders: bool, said: Units | None = None
-) -> tuple[list[Found], bool]:
-    """Mistakes of a log, none where it is right; and whether one was dropped, as its remedy leaves too much.
+    fit: TorqueFit, motion: Motion, *, encoders: bool, said: Units | None = None
+) -> tuple[list[Found], Found | None]:
+    """Mistakes of a log, none where it is right; and the first that was dropped, as its remedy leaves too much.
 
     Of angles and columns there are mistakes only where there are ``encoders``; ``said`` are the log's units, and where
-    they stand.
+    they stand. All are tried on few rows of the motion; the likely ones, and what is stated, on all.
     """
     rules, found = motion.rules.check, list[Found]()
-    states, lefts = [motion], [explain(dynamics, body, motion)]
+    states, lefts = [motion], [fit.explain(motion)]
     while len(found) < rules.max_mistakes:
         own = lefts[-1].misfit
         if not own > rules.min_misfit:
             break
-        tried = sorted(_tried(dynamics, body, states[-1], encoders, said), key=lambda each: each[0])
+        few = states[-1].thinned(rules.scan_rows)
+        scanned = sorted(_tried(fit, few, encoders, said), key=lambda each: each[0])
+        likely = [m for left, m in scanned if left < max(rules.equal_misfit**2 * scanned[0][0], rules.min_misfit)]
+        again = ((left_by(mistake, fit, states[-1]), mistake) for mistake in likely[: rules.max_refitted])
+        tried = sorted(again, key=lambda each: each[0])
         limit = min(rules.max_remaining * own, rules.max_right_misfit)
         worth = [(misfit, mistake) for misfit, mistake in tried if misfit < limit]
         if not worth:
             break
         limit = max(rules.equal_misfit * worth[0][0], rules.min_misfit)
         rivals = [(misfit, mistake) for misfit, mistake in worth if misfit < limit]
-        _, best = min(rivals, key=lambda each: each[1].kind in FITTED)
+        small = bool(np.ptp(states[-1].q, axis=0).max() < math.tau)
+        _, best = min(rivals, key=lambda each: (small and each[1].kind == "degrees", each[1].kind in FITTED))
         others = tuple(mistake for _, mistake in rivals if mistake.kind != best.kind)
         found.append(Found(best, math.nan, math.nan, others))
         states.append(best.right(states[-1]) or states[-1])
-        lefts.append(explain(dynamics, body, states[-1]))
-    tried_out = len(found)
+        lefts.append(fit.explain(states[-1]))
+    dropped = None
     while found and any(lefts[len(found)].missed(each.mistake.joints) > rules.max_joint_misfit for each in found):
-        found.pop()
-    right = lefts[len(found)]
-    left = [left_by_values(dynamics, body, each, right.values) for each in states[: len(found) + 1]]
+        dropped = _stated(fit, [found.pop()], states[len(found) :], lefts[len(found) + 1])[0]
+    return _stated(fit, found, states, lefts[len(found)]), dropped
+
+
+def _stated(fit: TorqueFit, found: Sequence[Found], states: Sequence[Motion], right: Explained) -> list[Found]:
+    """Mistakes with what their joints miss before and after each, by the numbers that fit once all are put right."""
+    left = [fit.left_by_values(each, right.values) for each in states[: len(found) + 1]]
     shares = [[share(each, right.required, own.mistake.joints) for each in left] for own in found]
     numbered = enumerate(zip(found, shares, strict=True))
-    stated = [replace(each, before=of[n], after=of[n + 1]) for n, (each, of) in numbered]
-    return stated, len(stated) < tried_out
+    return [replace(each, before=of[n], after=of[n + 1]) for n, (each, of) in numbered]
 
 
 def fixed(joints: int, encoders: bool, by_target: Sequence[bool] = ()) -> Iterator[Mistake]:
@@ -203,22 +211,20 @@ def gears(terms: RobotTerms, place: str, rules: Rules) -> Iterator[Mistake]:
             yield Mistake("gear", group, words, turn, float(gear[group[0]]), right)
 
 
-def left_by(mistake: Mistake, dynamics: Dynamics, body: Any, motion: Motion) -> float:
+def left_by(mistake: Mistake, fit: TorqueFit, motion: Motion) -> float:
     """The misfit of a motion once a mistake is put right; infinite where it cannot have it."""
     righted = mistake.right(motion)
-    return math.inf if righted is None else explain(dynamics, body, righted).misfit
+    return math.inf if righted is None else fit.explain(righted).misfit
 
 
-def _tried(
-    dynamics: Dynamics, body: Any, motion: Motion, encoders: bool, said: Units | None
-) -> Iterator[tuple[float, Mistake]]:
+def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
     joints, terms, rules = motion.q.shape[1], motion.terms, motion.rules.check
     moving = np.ptp(motion.q, axis=0) > FIXED.negligible
     by_target = (False,) * joints if terms is None else terms.by_target
 
-    def fit(mistake: Mistake) -> float:
-        return left_by(mistake, dynamics, body, motion)
+    def left(mistake: Mistake) -> float:
+        return left_by(mistake, fit, motion)
 
     def known() -> Iterator[Mistake]:
         yield from fixed(joints, encoders, by_target)
@@ -231,26 +237,41 @@ def _tried(
         return
     for mistake in known():
         if moving[list(mistake.joints)].all():
-            yield fit(mistake), mistake
+            yield left(mistake), mistake
+    shifting = slides(fit.body)
     for k in np.flatnonzero(moving).tolist() if encoders else ():
+        if fit.body.joint_names[k] in shifting:  # its zero is in m, and its dynamics no sum of cosines
+            continue
         sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
         made = partial(zero, int(k), sign=sign, where=where)
-        yield from _searched(made, fit, np.array(rules.zero_grid), math.radians(15), rules.min_zero)
+        at = fit.recounted(motion, k)
+        by_zero = partial(_misfit_at, at)
+        yield from _searched(made, by_zero, np.array(rules.zero_grid), math.radians(30), rules.min_zero)
     for group in _groups(joints):
         if moving[list(group)].all() and len({by_target[k] for k in group}) == 1:
-            scaled = partial(_scale, group, joints, by_target[group[0]])
-            yield from _searched(scaled, fit, np.log(rules.factor_grid), 0.6, math.log(rules.max_gain), ends=True)
+            for made in (_scale, _gain)[: 1 + by_target[group[0]]]:
+                scaled = partial(made, group, joints, by_target[group[0]])
+                by_factor, grid = partial(_misfit_of, left, scaled), np.log(rules.factor_grid)
+                yield from _searched(scaled, by_factor, grid, 0.6, math.log(rules.max_gain), ends=True)
     for k in np.flatnonzero(moving).tolist():
-        free = explain(dynamics, body, motion, (k,))
+        free = fit.explain(motion, (k,))
         offset = float(free.values[-1])
         if abs(offset) > rules.min_offset * np.sqrt((motion.torque[:, k] ** 2).mean()):
             yield free.misfit, _offset(k, motion, offset)
 
 
+def _misfit_at(at: Callable[[float], Explained], value: float) -> float:
+    return at(value).misfit
+
+
+def _misfit_of(left: Callable[[Mistake], float], made: Callable[[float], Mistake], value: float) -> float:
+    return left(made(value))
+
+
 def _searched(
     made: Callable[[float], Mistake],
-    fit: Callable[[Mistake], float],
+    misfit: Callable[[float], float],
     grid: np.ndarray,
     width: float,
     least: float,
@@ -260,13 +281,8 @@ def _searched(
 
     A grid that ``ends`` has none at its ends: there one joint's torques are so large that no other's count.
     """
-    best = min(grid, key=lambda value: fit(made(value)))
-    near = minimize_scalar(
-        lambda value: fit(made(value)),
-        bounds=(best - width, best + width),
-        method="bounded",
-        options={"xatol": 2e-3},
-    )
+    best = min(grid, key=misfit)
+    near = minimize_scalar(misfit, bounds=(best - width, best + width), method="bounded", options={"xatol": 2e-3})
     far = ends and not grid.min() - 0.9 * width < near.x < grid.max() + 0.9 * width
     if abs(near.x) >= least and not far:
         yield float(near.fun), made(float(near.x))
@@ -299,6 +315,17 @@ def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> 
         return replace(motion, torque=motion.torque * given, terms=terms)
 
     return Mistake("scale", group, words, turn, factor, methodcaller("retargeted", given) if by_target else right)
+
+
+def _gain(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> Mistake:
+    """A servo's gains in the robot's own file, which are as wrong as a unit in the log would be."""
+    factor = math.exp(log)
+    given = np.ones(joints)
+    given[list(group)] = factor
+    off = f"{factor:.3g} times too small" if factor > 1 else f"{1 / factor:.3g} times too large"
+    turn = f"multiply them (kp and kv in MJCF) by {factor:.3g}, if the robot's controller says so"
+    words = f"the servos' gains in the robot's file are {off}"
+    return Mistake("gain", group, words, turn, factor, methodcaller("strengthened", given))
 
 
 def _offset(joint: int, motion: Motion, offset: float) -> Mistake:

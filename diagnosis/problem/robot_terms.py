@@ -13,6 +13,7 @@ Shapes: R rows, K joints. Units: rad, s, N·m.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,17 @@ class RobotTerms:
         """The terms with servos' targets so many times as large, (K,) or one for all, about their zeros."""
         own, targets = self._commands(), np.array([motor is not None for motor in servos(self.body, len(self.sign))])
         return self._commanded(np.where(targets, self.target.zero + factor * (own - self.target.zero), own))
+
+    def strengthened(self, factor: np.ndarray) -> "RobotTerms":
+        """The terms of servos that answer so many times as strongly, (K,), within the same limits."""
+
+        def of(motor: Motor, by: float) -> Motor:
+            names = ("gain", "stiffness", "damping", "bias")
+            return replace(motor, **{name: by * getattr(motor, name) for name in names})
+
+        every = zip(servos(self.body, len(factor)), factor.tolist(), strict=True)
+        parts = tuple(NOTHING if motor is None else replace(NOTHING, motor=of(motor, by)) for motor, by in every)
+        return replace(self, body=SimpleNamespace(joint_parts=parts), commands=self.commands * factor)
 
     def _commands(self) -> np.ndarray:
         """Torques, and targets in the body's own counting where there are servos, (R, K)."""

@@ -1,26 +1,18 @@
-"""How much of the torques that were given a body's motion explains, with what a file may be wrong about left free.
+"""A motion with the torques along it, and the columns of what these are linear in (:mod:`.torque_fit`).
 
-Inverse dynamics are linear in a link's mass m, first moment m c and inertia J about its joint (Atkeson, An & Hollerbach
-1986), and so is what a joint has besides:
-
-    τ = Y(q, q̇, q̈) φ + b q̇ + f tanh(q̇/v) + I_a q̈,     φ = φ₀ + δ,     δ ~ N(0, (.3 φ₀)²),     b, f, I_a ≥ 0
-
-The misfit is the root of the least value of mean ((u − τ)/u_rms)² + λ Σ (β/sd)²: 0 where all is explained, 1 where
-nothing is. q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows. The torque passes the same
-window, so that both lose the same.
+q̇ and q̈ come from local cubics (Savitzky & Golay 1964) along even rows. The torque passes the same window, so that
+both lose the same.
 
 Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import torch
-from scipy.optimize import lsq_linear
-from scipy.signal import savgol_filter
 
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.diagnosis.rules import DEFAULT, Rules
@@ -31,13 +23,17 @@ from invdyn.recordings.logs.mapping import JointMap
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion and the torques given along it, each (R, K); `terms` are the robot's, None where they are unknown."""
+    """A motion and the torques given along it, each (R, K); `terms` are the robot's, None where they are unknown.
+
+    `smooth` makes of a log's commands (T, K) what its rows have, (R, K).
+    """
 
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray
     terms: RobotTerms | None = None
+    smooth: Callable[[np.ndarray], np.ndarray] | None = None
     rules: Rules = DEFAULT
 
     def picked(self, angles: list[int], torques: list[int]) -> "Motion | None":
@@ -82,6 +78,26 @@ class Motion:
         shift[joint] = zero
         return replace(self, q=self.q - shift, terms=None if self.terms is None else self.terms.recounted(shift))
 
+    def recommanded(self, given: np.ndarray) -> "Motion":
+        """The motion under other commands (T, K) than the log's. Raises ValueError of one in other rows."""
+        if self.smooth is None:
+            raise ValueError("expected a motion in all of its rows")
+        commands = self.smooth(given)
+        if self.terms is None:
+            return replace(self, torque=commands)
+        terms = replace(self.terms, commands=commands)
+        return replace(self, torque=terms.torque(self.q, self.qd), terms=terms)
+
+    def thinned(self, rows: int) -> "Motion":
+        """The motion in at most so many ``rows``, evenly."""
+        return self.at(slice(None, None, -(-len(self.q) // rows)))
+
+    def at(self, every: slice) -> "Motion":
+        """The motion in some of its rows."""
+        q, qd, qdd, torque = (each[every] for each in (self.q, self.qd, self.qdd, self.torque))
+        terms = None if self.terms is None else replace(self.terms, commands=self.terms.commands[every])
+        return replace(self, q=q, qd=qd, qdd=qdd, torque=torque, terms=terms, smooth=None)
+
     def retargeted(self, factor: np.ndarray) -> "Motion | None":
         """Servos' targets times factors (K,), about their zeros; None where no target is known."""
         if self.terms is None:
@@ -89,33 +105,12 @@ class Motion:
         terms = self.terms.retargeted(factor)
         return replace(self, torque=terms.torque(self.q, self.qd), terms=terms)
 
-
-@dataclass(frozen=True)
-class Explained:
-    """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order.
-
-    `left` (K,) N·m is the rms of what is not explained, `required` (K,) N·m of what is; `penalty` is λ Σ (β/sd)².
-    """
-
-    misfit: float
-    by_joint: np.ndarray
-    values: np.ndarray
-    left: np.ndarray
-    required: np.ndarray
-    penalty: float
-
-    def missed(self, joints: Sequence[int]) -> float:
-        """The misfit of these joints, all if none, in terms of what is required of them.
-
-        No remedy that makes torques small, or another joint's large, makes that better.
-        """
-        return float(np.hypot(share(self.left, self.required, joints), np.sqrt(self.penalty)))
-
-
-def share(left: np.ndarray, required: np.ndarray, joints: Sequence[int]) -> float:
-    """Of what is ``required`` (K,) of some joints, all if none, what is ``left`` (K,)."""
-    of = list(joints) or slice(None)
-    return float(np.linalg.norm(left[of]) / max(float(np.linalg.norm(required[of])), 1e-300))
+    def strengthened(self, factor: np.ndarray) -> "Motion | None":
+        """Servos' answers times factors (K,), 1 at other joints; None where no servo is known."""
+        if self.terms is None:
+            return None
+        terms = self.terms.strengthened(factor)
+        return replace(self, torque=terms.torque(self.q, self.qd), terms=terms)
 
 
 def smoothings(
@@ -167,28 +162,56 @@ def smoothed(
     if len(even) < 2 * window or len(even) > 50 * len(seen):
         return None
     rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
-    # constant: over half a row before and after each even one, on average
-    total = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * np.diff(time)[:, None], 0)])
-    area = [np.stack([np.interp(even + way * step / 2, time, each) for each in total.T], -1) for way in (-1, 1)]
+    stride = max(1, len(even) * max(angle.shape[1], 2) // (2 * rules.check.max_fit_rows))
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
-    given = (area[1] - area[0]) / width[:, None]
-    inner = slice(window // 2, len(even) - window // 2)
-    stride = slice(None, None, max(1, len(even) * max(angle.shape[1], 2) // (2 * rules.check.max_fit_rows)))
-    q, qd, qdd = (savgol_filter(rows, window, 3, deriv=n, delta=step, axis=0)[inner][stride] for n in range(3))
-    return Motion(q, qd, qdd, savgol_filter(given, window, 3, axis=0)[inner][stride], rules=rules)
+
+    def smooth(given: np.ndarray) -> np.ndarray:
+        # constant: over half a row before and after each even one, on average
+        total = np.concatenate([np.zeros((1, given.shape[1])), np.cumsum(given[:-1] * np.diff(time)[:, None], 0)])
+        area = [np.stack([np.interp(even + way * step / 2, time, each) for each in total.T], -1) for way in (-1, 1)]
+        return _local_cubic((area[1] - area[0]) / width[:, None], window, 0, step, stride)
+
+    q, qd, qdd = (_local_cubic(rows, window, n, step, stride) for n in range(3))
+    return Motion(q, qd, qdd, smooth(torque), smooth=smooth, rules=rules)
 
 
-def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray:
+def _local_cubic(rows: np.ndarray, window: int, order: int, step: float, stride: int) -> np.ndarray:
+    """A derivative of the cubic through each ``window`` of even rows (T, K) at its middle, (T − window + 1, K).
+
+    Every ``stride``-th of these.
+
+    :func:`scipy.signal.savgol_filter` without its ends, and without the second that scipy.signal takes to import.
+    """
+    place = np.arange(window) - window // 2
+    weights = np.linalg.pinv(np.vander(place, 4, increasing=True))[order] * math.factorial(order) / step**order
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(rows, window, axis=0)[::stride] @ weights)
+
+
+def link_regressors(dynamics: Dynamics, body: Any, motion: Motion, units: Any = None) -> np.ndarray:
     """Y of each link's m, first moments m c and second moments J about its joint, (P, R, K).
 
     In the plane P is 3 for each link, in space 10; quantity by quantity, each of all links. None of another body.
+    ``units`` are :func:`unit_numbers` of the body, where they are known already.
     """
-    numbers = body.parameters()
     if not has_inertias(body):
         return np.empty((0, *motion.q.shape))
+    n, links = 1 if body.dimensions == 2 else 3, len(body.link_names)
+    found = inverse(dynamics, unit_numbers(body) if units is None else units, motion)
+    found = found.reshape(-1, links, *motion.q.shape)
+    # at a distance of one metre a kilogram has moments, which are taken from it
+    found[1 : 1 + n] -= found[:1]
+    return found.reshape(-1, *motion.q.shape)
+
+
+def unit_numbers(body: Any) -> Any:
+    """A body's numbers with a unit of one quantity at one link and nothing else, for each of P; None of another body.
+
+    In one batch (P, 1): a kilogram at the joint, one at a metre along each axis, and each moment by itself.
+    """
+    if not has_inertias(body):
+        return None
     n, r = (1, 1) if body.dimensions == 2 else (3, 6)
     links = len(body.link_names)
-    # columns in one batch: a kilogram at the joint, one at a metre along each axis, and each moment by itself
     mass, com, moments = np.zeros((1 + n + r, 1)), np.zeros((1 + n + r, n)), np.zeros((1 + n + r, r))
     mass[: 1 + n], com[1 : 1 + n], moments[1 + n :] = 1.0, np.eye(n), np.eye(r)
     moments[1 : 1 + n] = -point_moments(torch.eye(n, dtype=torch.float64)).numpy()
@@ -199,11 +222,7 @@ def link_regressors(dynamics: Dynamics, body: Any, motion: Motion) -> np.ndarray
 
     given = [of_each(each) for each in (mass, com, moments)]
     masses, coms, inertias = (each[..., 0] if each.shape[-1] == 1 else each for each in given)
-    only = numbers._replace(mass=masses, com=coms, inertia=inertias)
-    found = inverse(dynamics, only, motion).reshape(1 + n + r, links, *motion.q.shape)
-    # at a distance of one metre a kilogram has moments, which are taken from it
-    found[1 : 1 + n] -= found[:1]
-    return found.reshape(-1, *motion.q.shape)
+    return body.parameters()._replace(mass=masses, com=coms, inertia=inertias)
 
 
 def inverse(dynamics: Dynamics, numbers: Any, motion: Motion) -> np.ndarray:
@@ -236,60 +255,3 @@ def nominal_link_numbers(body: Any) -> list[np.ndarray]:
     every = [inertia_of(p, k) for k in range(len(body.link_names))]
     own = [(e.mass, e.mass * e.com, e.moments + e.mass * point_moments(e.com)) for e in every]
     return [torch.stack(quantity, -1).numpy() for quantity in zip(*own, strict=True)]
-
-
-def left_by_values(dynamics: Dynamics, body: Any, motion: Motion, values: np.ndarray) -> np.ndarray:
-    """Rms (K,) N·m of what a motion's torques miss, with coefficients (P,) that :func:`explain` found in another."""
-    required = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
-    regressors = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)])
-    left = motion.torque - required - np.tensordot(values, regressors, 1)
-    return np.asarray(np.sqrt((left**2).mean(0)))
-
-
-def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: tuple[int, ...] = ()) -> Explained:
-    """The misfit of a motion; at ``offsets`` joints a constant torque is free, whose values come last."""
-    required = inverse(dynamics, body.parameters(), motion) + passive(body, motion)
-    size, needed = (np.sqrt((each**2).mean(0)) for each in (motion.torque, required))
-    unit = np.maximum(np.maximum(size, motion.rules.check.min_torque_scale * needed.max()), 1e-12)
-    quantities = nominal_link_numbers(body)
-    own = np.concatenate([each.ravel() for each in (*quantities, np.empty(0))])
-    joints = joint_regressors(motion)
-    constant = np.eye(len(unit))[list(offsets)][:, None] * np.ones_like(motion.torque)
-    X = np.concatenate([link_regressors(dynamics, body, motion), joints, constant]) / unit
-    moved = np.maximum(np.sqrt((joints**2).mean(1)).sum(-1), 1e-12)
-    largest = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in quantities]
-    floor = np.concatenate([*largest, np.empty(0)])
-    sd = np.concatenate(
-        [
-            motion.rules.check.link_sd * np.maximum(np.abs(own), 0.01 * floor),
-            np.tile(unit, 3) / moved,
-            100 * unit[list(offsets)],
-        ]
-    )
-    lower = np.concatenate([np.full(len(own), -3.0), np.zeros(len(joints)), np.full(len(offsets), -np.inf)])
-    upper = np.concatenate([np.full(len(own), 3.0), np.full(len(joints), 10.0), np.full(len(offsets), np.inf)])
-    rows = (X.reshape(len(X), -1) * sd[:, None]).T / np.sqrt(motion.torque.size)
-    left = ((motion.torque - required) / unit).ravel() / np.sqrt(motion.torque.size)
-    q, r = np.linalg.qr(np.concatenate([rows, np.sqrt(motion.rules.check.ridge) * np.eye(len(sd))]))
-    target = q.T @ np.concatenate([left, np.zeros(len(sd))])
-    scaled = _bounded(r, target, lower, upper, len(own))
-    off = (left - rows @ scaled).reshape(motion.torque.shape)
-    missed = (off**2).sum(0)
-    penalty = motion.rules.check.ridge * float((scaled**2).sum())
-    total = missed.sum() + penalty
-    by_joint = np.sqrt(missed * len(unit))
-    explained = motion.torque - off * unit * np.sqrt(motion.torque.size)
-    required_of = np.sqrt((explained**2).mean(0))
-    return Explained(float(np.sqrt(total)), by_joint, scaled * sd, by_joint * unit, required_of, penalty)
-
-
-def _bounded(r: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray, first: int) -> np.ndarray:
-    """The x (P,) within bounds that is nearest to ``r x = target``, of a triangular ``r`` (P, P).
-
-    The ``first`` of them, links' numbers, seldom come to their bounds: the others are then found by themselves.
-    """
-    rest = lsq_linear(r[first:, first:], target[first:], (lower[first:], upper[first:]), method="bvls").x
-    links = scipy.linalg.solve_triangular(r[:first, :first], target[:first] - r[:first, first:] @ rest)
-    if ((lower[:first] <= links) & (links <= upper[:first])).all():
-        return np.concatenate([links, rest])
-    return np.asarray(lsq_linear(r, target, (lower, upper), method="bvls").x)

@@ -42,6 +42,9 @@ class _Tracks(Mapping[str, Track]):
             raise KeyError(name)
         return Track.of(self._time, self._column(name))
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._names  # a Mapping's own would convert the column
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
 

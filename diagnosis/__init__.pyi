@@ -1,0 +1,10 @@
+from .assessment.result import Diagnosis as Diagnosis
+from .catalogue import CATALOGUE as CATALOGUE
+from .catalogue import CatalogueEntry as CatalogueEntry
+from .check.before import check_before as check_before
+from .diagnose import diagnose as diagnose
+from .diagnose import save as save
+from .hypotheses.search import search as search
+from .problem.diagnosis_problem import DiagnosisProblem as DiagnosisProblem
+from .problem.diagnosis_problem import diagnosis_problem as diagnosis_problem
+from .rules import Rules as Rules
