@@ -65,9 +65,10 @@ def wrong_units(
         return implausible, (), reading
     # the first one where no torque tells
     missed, mistakes, righted = min(found, key=lambda each: each[0])
-    if implausible is None and not missed < min(
-        limits.max_remaining * _missed(reading, body, rules), limits.max_right_misfit
-    ):
+    own = _missed(reading, body, rules)
+    if implausible is None and not missed < min(limits.max_remaining * own, limits.max_right_misfit):
+        return None, (), reading
+    if 0 < own < min(missed, limits.max_right_misfit):  # an arm that whirls: its torques say so, and outweigh its size
         return None, (), reading
     degrees = any(mistake.kind == "degrees" for mistake in mistakes)
     if degrees and (shares := _shares(reading, body, 0 < missed < limits.degrees_misfit, rules)) is not None:

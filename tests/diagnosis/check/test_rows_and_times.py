@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.check.command_times import shifted
+from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
 RNG = np.random.default_rng(5)
@@ -70,8 +72,17 @@ def test_a_delay_that_a_motor_may_have_is_left_to_the_diagnosis(log):
     assert not check(moved(log, -0.05), ARM, effects=False).mistakes
 
 
-def test_a_joint_that_turns_round_and_round_and_a_coarse_encoder_are_clean():
+def test_a_joint_that_turns_round_and_round_is_clean_and_so_is_a_coarse_encoder():
+    """64 rad, not wrapped, are no degrees: the torques bear them out."""
     time = np.arange(0, 8, 0.01)
-    angles = np.stack([8 * time, np.round(0.3 * np.sin(time) / 0.002) * 0.002], -1)
-    recording = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, joint_names=BOTH)
-    assert not check(recording, ARM, effects=False).mistakes
+    phase = np.sin(2 * time)
+    q = np.stack([8 * time + 0.5 * phase, 0.8 * phase], -1)
+    qd = np.stack([8 + np.cos(2 * time), 1.6 * np.cos(2 * time)], -1)
+    qdd = np.stack([-2 * phase, -3.2 * phase], -1)
+    dynamics = dynamics_for(ARM)
+    torques = dynamics.inverse(*map(torch.as_tensor, (q, qd, qdd)), ARM.parameters()).numpy()
+    coarse = np.round(q / 0.002) * 0.002
+    for angles in (q, coarse):
+        nothing = np.empty((len(time), 0, 2))
+        recording = Recording(time, nothing, (), angles=angles, torques=torques, joint_names=BOTH)
+        assert not check(recording, ARM, effects=False).mistakes
