@@ -376,9 +376,18 @@ class Fixed:
     kappa_rounds: int = number(6, "rounds", "of EM for the noise scale", "effort")
     jerk_span: float = number(0.1, "s", "of the cubic whose third derivative is a motion's", "chosen")
     jerk_points: int = number(11, "points", "in that span", "chosen")
+    # -- the fit of torques that a check makes
+    kept_equations: int = number(4, "motions", "whose normal equations are kept", "effort")
+    max_link_sds: float = number(3.0, "prior sds", "by which a link's number may be off", "chosen")
+    max_joint_sds: float = number(10.0, "prior sds", "by which a joint's friction or rotor may be", "chosen")
     # -- replays
     replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
     cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")
+    max_replay_windows: int = number(30, "windows", "whose states are found; of more, evenly chosen ones", "effort")
+    replay_rounds: int = number(3, "rounds", "of Gauss–Newton on a window's first state", "effort")
+    min_replay_noise: float = number(1e-5, "rad", "of an angle, that is taken for noise at least", "chosen")
+    replay_runs_away: float = number(1.0, "rad", "rms, from which on a replay without restarts says nothing", "chosen")
+    max_replay_angle: float = number(1e4, "rad", "beyond which a replay has run away", "chosen")
     min_replay_rows: int = number(13, "rows", "with all angles", "chosen")
     extra_samples: int = number(2, "samples", "that an actuator with a delay remembers besides", "MuJoCo")
     # -- the report

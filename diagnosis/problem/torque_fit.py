@@ -34,12 +34,8 @@ from invdyn.diagnosis.problem.torque_regression import (
     passive,
     unit_numbers,
 )
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models.dynamics.interface import Dynamics
-
-KEPT = 4
-"""Motions whose normal equations are kept."""
-MAX_LINK, MAX_JOINT = 3.0, 10.0
-"""Prior sds by which a link's number, and a joint's, may be off."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ class TorqueFit:
     def _equations(self, motion: Motion) -> _Equations:
         key = tuple(each.tobytes() for each in (motion.q, motion.qd, motion.qdd))
         if (known := self._kept.get(key)) is None:
-            if len(self._kept) >= KEPT:
+            if len(self._kept) >= FIXED.kept_equations:
                 del self._kept[next(iter(self._kept))]
             known = self._kept[key] = self._made(motion)
         return known
@@ -188,7 +184,7 @@ def _bounded(r: np.ndarray, target: np.ndarray, links: int, free: int) -> np.nda
     """
     plain = np.asarray(scipy.linalg.solve_triangular(r, target, check_finite=False))
     end = len(target) - free
-    if np.abs(plain[:links]).max(initial=0.0) <= MAX_LINK and _inside(plain[links:end]):
+    if np.abs(plain[:links]).max(initial=0.0) <= FIXED.max_link_sds and _inside(plain[links:end]):
         return plain
     # the free ones adapt to all others, and the links' to the joints': those are found by themselves
     own = r[links:, links:]
@@ -201,15 +197,15 @@ def _bounded(r: np.ndarray, target: np.ndarray, links: int, free: int) -> np.nda
     else:
         rest = _not_negative(own, target[links:])
     first = scipy.linalg.solve_triangular(r[:links, :links], target[:links] - r[:links, links:] @ rest)
-    if np.abs(first).max(initial=0.0) <= MAX_LINK and _inside(rest[: end - links]):
+    if np.abs(first).max(initial=0.0) <= FIXED.max_link_sds and _inside(rest[: end - links]):
         return np.concatenate([first, rest])
-    most = np.repeat([MAX_LINK, MAX_JOINT, np.inf], [links, end - links, free])
-    least = np.repeat([-MAX_LINK, 0.0, -np.inf], [links, end - links, free])
+    most = np.repeat([FIXED.max_link_sds, FIXED.max_joint_sds, np.inf], [links, end - links, free])
+    least = np.repeat([-FIXED.max_link_sds, 0.0, -np.inf], [links, end - links, free])
     return np.asarray(lsq_linear(r, target, (least, most), method="bvls").x)
 
 
 def _inside(joints: np.ndarray) -> bool:
-    return bool(((joints >= 0) & (joints <= MAX_JOINT)).all())
+    return bool(((joints >= 0) & (joints <= FIXED.max_joint_sds)).all())
 
 
 def _not_negative(r: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
 from invdyn.diagnosis.report.numbers import changed, handies, handy
 from invdyn.diagnosis.report.words import finding_words, place_words
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.joint_parts import PARTS
 
 
@@ -71,9 +72,21 @@ def written(copy: Written) -> list[str]:
         total, on = tried["total_rms_rad"], "a withheld recording" if tried["held_out"] else "the same recording"
         before, after = handies("rad", total["before"], total["after"])
         found.append(
-            f"{tried['engine']} replayed {on}, and restarted from the recorded state every {tried['window_s']:g} s. "
-            f"Its angles are off by {after} rms with the corrected file, by {before} with the original."
+            f"{tried['engine']} replayed {on}, and restarted every {tried['window_s']:g} s from the state that the "
+            f"file itself is consistent with. Its angles are off by {after} rms with the corrected file, by {before} "
+            "with the original."
         )
+        if (whole := tried.get("whole_rms_rad")) is not None:
+            found.append(_whole(whole))
         if what and total["after"] >= total["before"]:
             found.append("The corrected file is no nearer to the recording: keep the original.")
     return found
+
+
+def _whole(total: dict[str, float | None]) -> str:
+    """What is off without a restart; an arm that is unstable says nothing there."""
+    before, after = total["before"], total["after"]
+    if before is None or after is None or min(before, after) > FIXED.replay_runs_away:
+        return "Without a restart the motion is lost in both: the arm is unstable, and the windows alone count."
+    first, second = handies("rad", before, after)
+    return f"Without a restart they are off by {second} and {first}."

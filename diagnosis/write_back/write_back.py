@@ -123,4 +123,10 @@ def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, h
             name: {"before": value, "after": after.angle_rms[name]} for name, value in before.angle_rms.items()
         },
         "total_rms_rad": {"before": before.total, "after": after.total},
+        "whole_rms_rad": {"before": _finite(before.whole), "after": _finite(after.whole)},
     }
+
+
+def _finite(value: float) -> float | None:
+    """For JSON: None of what ran away."""
+    return value if np.isfinite(value) else None

@@ -17,8 +17,10 @@ quantities to the joint's: a torque times it, an angle or target over it (MuJoCo
     rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
 
 A `range` may also be the name of LeRobot's calibration, which has the range of the track's motor about its middle
-(:mod:`.lerobot_calibration`). Without a mapping, tracks named as in ROS's JointState, "….elbow.position" and
-"….elbow.effort", are taken as their names state.
+(:mod:`.lerobot_calibration`). Numbers that begin again after 4096 have `wrap = 4096`, and are one course then.
+
+Without a mapping, tracks named as in ROS's JointState, "….elbow.position" and "….elbow.effort", are taken as their
+names state.
 """
 
 import sys
@@ -43,8 +45,8 @@ TORQUES = {"N·m": 1.0, "Nm": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kg·cm": 0.09806
 BY_NAME = {"angle": "position", "torque": "effort"}
 """How the names of tracks end that need no mapping."""
 KEYS = {
-    "angle": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
-    "target": ("track", "unit", "sign", "zero", "gear", "range", "ends"),
+    "angle": ("track", "unit", "sign", "zero", "gear", "range", "ends", "wrap"),
+    "target": ("track", "unit", "sign", "zero", "gear", "range", "ends", "wrap"),
     "torque": ("track", "unit", "sign", "gear", "constant", "offset"),
 }
 
@@ -53,7 +55,8 @@ KEYS = {
 class Source:
     """A track and what makes SI units of its values: (value − origin) · factor + offset.
 
-    `unit` is the declared one, if any. `gear` is part of the factor already; `ranged`: a range is as well.
+    `unit` is the declared one, if any. `gear` is part of the factor already; `ranged`: a range is as well. The track's
+    values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before.
     """
 
     track: str
@@ -63,13 +66,18 @@ class Source:
     origin: float = 0.0
     gear: float = 1.0
     ranged: bool = False
+    wrap: float = 0.0
 
     def of(self, episode: Episode, where: str) -> Track:
         """The track in SI units. Raises InputError where the log has none of that name, or without times."""
         found = track(episode, self.track, where)
         if not len(found.time):
             raise InputError(f"{where}: no row of track {self.track!r} has a time")
-        return Track(found.time, (found.values - self.origin) * self.factor + self.offset)
+        values, known = found.values, np.isfinite(found.values)
+        if self.wrap:
+            values = values.copy()
+            values[known] = np.unwrap(values[known], period=self.wrap)
+        return Track(found.time, (values - self.origin) * self.factor + self.offset)
 
     def times(self, factor: float) -> "Source":
         """The source in another unit: values ``factor`` times as large, about the same zero."""
@@ -214,8 +222,14 @@ def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
     factor = factor * gear if kind == "torque" else factor / gear
     if not np.isfinite([factor, origin]).all():
         raise InputError(f"{where}: expected numbers of a usual size, got a factor of {factor:g}")
+    wrap = table.get("wrap", 0.0)
+    if "wrap" in table and not (_is_number(wrap) and wrap > 0):
+        raise InputError(
+            f"{where}: expected wrap as the positive number at which the angle starts again, got {wrap!r:.40}"
+        )
     zero = float(numbers.get("zero", numbers.get("offset", 0.0)))
-    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, "range" in table)
+    ranged = "range" in table
+    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, ranged, float(wrap))
 
 
 def _of_range(table: dict[str, Any], where: str, folder: Path) -> tuple[float, float]:

@@ -103,3 +103,13 @@ def test_what_is_no_gear_and_no_range_is_one_line(tmp_path, keys, says):
 def test_a_torque_has_no_range():
     with pytest.raises(InputError, match="unknown key 'range'"):
         source(kind="torque", range=[0, 1])
+
+
+def test_numbers_that_begin_again_are_one_course_with_a_wrap():
+    ticks = np.arange(0, 9000.0, 500)
+    ticks[3] = np.nan
+    source = LogMap.of({"joints": {"j": {"angle": {"track": "q", "wrap": 4096, "sign": -1}}}}).joints["j"].angle
+    found = source.of({"q": Track(np.arange(len(ticks)), ticks % 4096)}, "j").values
+    np.testing.assert_allclose(found, -ticks)
+    with pytest.raises(InputError, match="expected wrap as the positive number"):
+        LogMap.of({"joints": {"j": {"angle": {"track": "q", "wrap": 0}}}})
