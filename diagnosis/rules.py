@@ -31,6 +31,12 @@ class EvidenceRules:
     effect_count_prior: tuple[float, ...] = number(
         (0.4, 0.5, 0.08, 0.016, 0.004), "1", "P(n effects), n = 0, 1, …; a quarter for each further one", "odds"
     )
+    places_prior: tuple[float, float, float] = number(
+        (0.5, 0.1, 0.4),
+        "1",
+        "P(one), P(several) and P(all) joints of an effect in a regression",
+        "odds: robots are alike",
+    )
     temper_scale: float = number(1000.0, "nats", "largest evidence that counts between causes", "chosen")
     temper_scale_within: float = number(
         8000.0, "nats", "the same for intervals of parameters", "measured: 740 intervals, .90 cover the truth"
@@ -380,6 +386,29 @@ class Fixed:
     kept_equations: int = number(4, "motions", "whose normal equations are kept", "effort")
     max_link_sds: float = number(3.0, "prior sds", "by which a link's number may be off", "chosen")
     max_joint_sds: float = number(10.0, "prior sds", "by which a joint's friction or rotor may be", "chosen")
+    # -- the regression
+    max_likelihood_rows: int = number(1500, "rows", "from which noise and roughness of an angle come", "effort")
+    roughness_decades: tuple[float, float, float] = number(
+        (-6.0, 1.5, 0.25), "log10", "s/r of the smoother: first, last and step, where rows are 1 s apart", "effort"
+    )
+    max_regression_rows: int = number(4000, "rows", "of smoothed angles; more are averaged", "effort")
+    min_moving_share: float = number(0.2, "rows", "in which a joint turns, for those at rest not to count", "chosen")
+    velocity_power: float = number(0.95, "1", "of a velocity's power, that a motion's frequencies have", "stated")
+    cutoff_factor: float = number(2.5, "1", "times those, a regression's frequencies", "measured: DFKI 01 and 03, WAM")
+    cross_validation_folds: int = number(6, "folds", "of neighbouring rows, each predicted by the others", "effort")
+    min_cutoff: float = number(3.0, "Hz", "of the regression's filter: dry friction changes sign at once", "chosen")
+    max_behind_plain: float = number(1.05, "1", "times a plain fit's error, for what evidence chooses", "stated")
+    min_plain_gain: float = number(
+        0.02, "of the gap", "that a plain fit must explain besides, to be preferred", "stated"
+    )
+    regression_sizes: tuple[float, ...] = number(
+        (0.03, 0.1, 0.3, 1.0), "of the torque needed", "prior sds of an effect in a regression", "chosen"
+    )
+    plain_size: float = number(10.0, "of the torque needed", "the same of a plain fit: next to no prior", "chosen")
+    regression_tail: float = number(4.0, "1", "degrees of freedom of what a regression leaves", "chosen")
+    max_gap_steps: float = number(20.0, "steps", "beyond which a recording has a gap", "chosen")
+    max_edge_sd: float = number(2.0, "medians", "of an acceleration's sd; rows at edges have more", "chosen")
+    min_link_share: float = number(0.01, "of the largest", "that a link's number is uncertain by at least", "chosen")
     # -- replays
     replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
     cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")

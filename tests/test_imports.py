@@ -103,6 +103,7 @@ STAGES = {
     "diagnosis": [
         "catalogue",
         "problem",
+        "regression",
         "sensitivity",
         "prediction",
         "hypotheses",

@@ -13,13 +13,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from invdyn.diagnosis.problem.torque_regression import (
-    Motion,
-    joint_regressors,
-    link_regressors,
-    nominal_link_numbers,
-)
-from invdyn.diagnosis.rules import FIXED
+from invdyn.diagnosis.problem.regressors import base_columns, link_regressors, nominal_link_numbers
+from invdyn.diagnosis.problem.torque_regression import Motion, joint_regressors
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
@@ -50,21 +45,11 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
     noise = np.maximum(by_joint, motion.rules.check.min_noise_share) * np.maximum(size, 0.01 * size.max())
     X = np.concatenate([link_regressors(dynamics, body, motion), joint_regressors(motion)]) / noise
     rows = X.reshape(len(X), -1).T
-    # Columns that say the same are ordered by their place, and not by rounding.
-    later = 1 + FIXED.negligible * np.arange(len(X))
-    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300) * later
-    moved = scale > FIXED.negligible * scale.max()
-    order = np.flatnonzero(moved)
-    _, r, pivot = scipy.linalg.qr(rows[:, order] / scale[order], mode="economic", pivoting=True)
-    size_of = np.abs(np.diagonal(r))
-    rank = int((size_of > FIXED.negligible**0.5 * size_of[0]).sum())
-    base, rest = order[pivot[:rank]], order[pivot[rank:]]
-    own, others = r[:rank, :rank], r[:rank, rank:]
-    # what a dependent column is of the base's columns: X₂ = X₁ B
-    combined = scipy.linalg.solve_triangular(own, others) * scale[rest] / scale[base][:, None]
-    inverse = scipy.linalg.solve_triangular(own, np.eye(rank))
+    base, rest, combined = base_columns(rows)
+    own = np.linalg.qr(rows[:, base], mode="r")
+    inverse = scipy.linalg.solve_triangular(own, np.eye(len(base)))
     # rows of a window say the same: one in some ten is news
-    sd = np.sqrt((inverse**2).sum(1) * 10) / scale[base]
+    sd = np.sqrt((inverse**2).sum(1) * 10)
     found = []
     for i, column in enumerate(base):
         parts, value = {names[column]: 1.0}, values[column]

@@ -1,0 +1,212 @@
+"""Which effects a torque lacks, by evidence over statements such as "Coulomb friction at every joint".
+
+A statement is an effect at one joint, at several, or at all, and has one sd s for all its places (a prior shared across
+joints). With y what is missing, X the columns of a set of statements, and noise of each joint's own size σ_j,
+
+    β ~ N(0, diag(s² u²)) =: N(0, Λ⁻¹),     A = Λ + Σ_j c_j/σ_j² X_jᵀ W_j X_j
+
+    log p = −½ Σ_j c_j n_j (log σ_j² + RSS_j/(n_j σ_j²)) − ½ βᵀ Λ β − ½ log |A| + ½ log |Λ| + log P(set)
+
+Errors of neighbouring rows are correlated: of n rows, c n count (c = 1/τ, τ the integrated autocorrelation time: Geyer
+1992). σ is the most probable one, s the best of a few. P(set) is that of :mod:`..problem.prior`: P(n), P(effect), and
+P(one | several | all). The set grows and shrinks by the step that gains most, until none gains.
+
+No model of a real robot is right, and evidence takes what is left for chance. So a step counts only if it also predicts
+better, by more than the standard error of that: in F folds of neighbouring rows, each predicted by a fit to the others
+(Stone 1974; Racine 2000; the one-standard-error rule: Breiman, Friedman, Olshen & Stone 1984).
+
+A friction, a rotor or a spring that would be less than nothing at some joint is left out there.
+
+Shapes: K joints, P columns, F folds.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from math import lgamma, log
+
+import numpy as np
+
+from invdyn.diagnosis.problem.prior import of_number
+from invdyn.diagnosis.rules import FIXED, Rules
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Of each joint XᵀWX (K, P, P), XᵀWy (K, P), yᵀWy (K,), rows that count c n (K,), and all rows n (K,).
+
+    `folds` has the first three of each fold.
+    """
+
+    gram: np.ndarray
+    cross: np.ndarray
+    square: np.ndarray
+    count: np.ndarray
+    rows: np.ndarray
+    folds: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
+
+
+@dataclass(frozen=True)
+class Statement:
+    """An effect at places, each with its columns, and the prior's s."""
+
+    kind: str
+    columns: Mapping[str, tuple[int, ...]]
+    size: float
+
+    @property
+    def every(self) -> list[int]:
+        """All columns."""
+        return [p for each in self.columns.values() for p in each]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Statements, their coefficients by column (p,), noise σ (K,), and log p.
+
+    `gain` is that of each over a set without it; `unseen` (F,) the squared errors of folds that were not fitted, in all
+    that is missing.
+    """
+
+    statements: tuple[Statement, ...] = ()
+    columns: tuple[int, ...] = ()
+    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    noise: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    score: float = -np.inf
+    gain: tuple[float, ...] = ()
+    unseen: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """All that may be stated: for each kind its places and their columns; sizes and least values of columns (P,).
+
+    `tolerated` (K,) N·m is what need not be explained: noise is that much at least.
+    """
+
+    moments: Moments
+    kinds: Mapping[str, Mapping[str, tuple[int, ...]]]
+    size: np.ndarray
+    least: np.ndarray
+    tolerated: np.ndarray
+    rules: Rules
+
+    def chosen(self) -> Chosen:
+        """The set of highest score that single steps lead to."""
+        best = self._fitted(())
+        best = replace(best, unseen=self._unseen(best))
+        while True:
+            tried = [self._fitted(step) for step in self._steps(best.statements)]
+            least = best.score + self.rules.search.equal_gain
+            better = sorted((each for each in tried if each.score > least), key=lambda each: -each.score)
+            predicted = (replace(each, unseen=self._unseen(each)) for each in better)
+            if (step := next((each for each in predicted if _lower(best.unseen, each.unseen)), None)) is None:
+                break
+            best = step
+        return self._with_gains(best)
+
+    def plain(self, kinds: Sequence[str]) -> Chosen:
+        """Effects of these ``kinds`` at all places, under next to no prior: as a least-squares fit has them."""
+        every = tuple(Statement(kind, self.kinds[kind], FIXED.plain_size) for kind in kinds if kind in self.kinds)
+        return self._with_gains(self._fitted(every))
+
+    def _with_gains(self, best: Chosen) -> Chosen:
+        without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]
+        return replace(best, gain=tuple(float(best.score - each.score) for each in without))
+
+    def _steps(self, now: Sequence[Statement]) -> Iterator[tuple[Statement, ...]]:
+        """Sets that differ by one statement's presence, places or size."""
+        taken = {statement.kind: n for n, statement in enumerate(now)}
+        for n in range(len(now)):
+            yield _less(now, n)
+        for kind, places in self.kinds.items():
+            rest = _less(now, taken[kind]) if kind in taken else tuple(now)
+            own = now[taken[kind]] if kind in taken else None
+            sets: list[tuple[str, ...]] = [tuple(places)] if len(places) > 1 else []
+            if own is None:
+                sets += [(place,) for place in places]
+            else:
+                mine = set(own.columns)
+                sets += [tuple(p for p in places if (p in mine) != (p == other)) for other in places]
+                sets.append(tuple(own.columns))
+            for some, size in product(filter(None, dict.fromkeys(sets)), FIXED.regression_sizes):
+                yield (*rest, Statement(kind, {place: places[place] for place in some}, size))
+
+    def _fitted(self, statements: tuple[Statement, ...]) -> Chosen:
+        """Coefficients, noise and score of a set; places where a value is less than it may be are left out."""
+        m = self.moments
+        noise = np.sqrt(np.maximum(m.square / m.rows, 1e-300))
+        while True:
+            columns = [p for statement in statements for p in statement.every]
+            prior = np.array([1 / (s.size * self.size[p]) ** 2 for s in statements for p in s.every])
+            gram, cross = m.gram[:, columns][:, :, columns], m.cross[:, columns]
+            for _ in range(3):
+                weight = m.count / m.rows / noise**2
+                A = np.diag(prior) + np.einsum("k,kpq->pq", weight, gram)
+                unit = np.sqrt(np.diag(A))
+                even = A / unit[:, None] / unit
+                values = np.linalg.solve(even, weight @ cross / unit) / unit
+                left = m.square - 2 * cross @ values + np.einsum("kpq,p,q->k", gram, values, values)
+                left = np.maximum(left, m.rows * np.maximum(self.tolerated**2, 1e-300))
+                noise = np.sqrt(left / m.rows)
+            low = {p for p, value in zip(columns, values, strict=True) if value < self.least[p]}
+            kept = []
+            for statement in statements:
+                places = {place: own for place, own in statement.columns.items() if not low & set(own)}
+                if places:
+                    kept.append(Statement(statement.kind, places, statement.size))
+            if not low:
+                break
+            statements = tuple(kept)
+        determinant = np.linalg.slogdet(even)[1] + 2 * np.log(unit).sum() - np.log(prior).sum()
+        fit = -0.5 * float(m.count @ (np.log(noise**2) + 1.0)) - 0.5 * float(prior @ values**2) - 0.5 * determinant
+        return Chosen(statements, tuple(columns), values, noise, fit + self._log_prior(statements))
+
+    def _unseen(self, chosen: Chosen) -> np.ndarray:
+        """(F,) squared errors of each fold by a fit to the others, in those of all missing torque, over joints."""
+        m, columns = self.moments, list(chosen.columns)
+        prior = np.diag([1 / (s.size * self.size[p]) ** 2 for s in chosen.statements for p in s.every])
+        weight = m.count / m.rows / chosen.noise**2
+        found = []
+        for gram, cross, square in m.folds:
+            left = square
+            if columns:
+                own, mine = gram[:, columns][:, :, columns], cross[:, columns]
+                A = prior.reshape(len(columns), -1) + np.einsum(
+                    "k,kpq->pq", weight, m.gram[:, columns][:, :, columns] - own
+                )
+                unit = np.sqrt(np.diag(A))
+                values = np.linalg.solve(A / unit[:, None] / unit, weight @ (m.cross[:, columns] - mine) / unit) / unit
+                left = square - 2 * mine @ values + np.einsum("kpq,p,q->k", own, values, values)
+            found.append(float((left / np.maximum(m.square, 1e-300)).sum()))
+        return np.array(found)
+
+    def _log_prior(self, statements: Sequence[Statement]) -> float:
+        """Log P(n) n!/E^n Π P(places | effect) P(s)."""
+        total = log(of_number(len(statements), self.rules)) + lgamma(len(statements) + 1)
+        for statement in statements:
+            total -= log(len(self.kinds)) + log(len(FIXED.regression_sizes))
+            total += log_of_places(len(statement.columns), len(self.kinds[statement.kind]), self.rules)
+        return total
+
+
+def _lower(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether folds' errors (F,) are lower by more than the standard error of the difference."""
+    gain = before - after
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+def log_of_places(count: int, places: int, rules: Rules) -> float:
+    """Log P(one | several | all), and which ones, of ``count`` among ``places``."""
+    if places == 1:
+        return 0.0
+    one, several, every = rules.evidence.places_prior
+    if count == 1:
+        return log(one / places)
+    if count == places:
+        return log(every if places > 2 else every + several)
+    return log(several / max(2**places - places - 2, 1))
+
+
+def _less(statements: Sequence[Statement], number: int) -> tuple[Statement, ...]:
+    return (*statements[:number], *statements[number + 1 :])

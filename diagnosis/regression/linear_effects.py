@@ -1,0 +1,192 @@
+"""Effects that torque is linear in, as columns along a smoothed motion: what the torque is expected to be.
+
+A motion is known as a Gaussian at each row. Regressors are expectations given what was seen, E[Y|y], so that noise in
+encoders biases nothing (regression calibration: Carroll, Ruppert, Stefanski & Crainiceanu 2006, ch. 4). Those of q̇ and
+q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²). What stays unknown, var[Y|y], weakens a row.
+
+    viscous     q̇                    Coulomb     sgn q̇                 rotor    q̈
+    spring      q and a constant     constant    1                     gain     the torque that the file asks for
+    link        Y(q, q̇, q̈) of its m, m c and J (:mod:`..problem.regressors`)
+
+A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
+Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
+
+An encoder's noise, and the roughness of its scale, enter q̈ as the square of frequency. What is missing and all columns
+pass the same low-pass filter, without delay (parallel filtering: Gautier, Janot & Vandanjon 2013); it is a few times as
+wide as the motion's velocity.
+
+Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+from scipy.special import erf
+
+from invdyn.diagnosis.problem.regressors import base_columns, inverse, link_regressors, nominal_link_numbers
+from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.rules import FIXED, Rules
+from invdyn.models.bodies.inertia import NAMES
+from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.protocol import AXES
+from invdyn.models.dynamics.interface import Dynamics
+
+INERTIAL = "inertial_error"
+JOINT_KINDS = {
+    "viscous_friction": (("damping", "N·m·s/rad"),),
+    "coulomb_friction": (("torque", "N·m"),),
+    "armature": (("inertia", "kg·m²"),),
+    "joint_stiffness": (("stiffness", "N·m/rad"), ("torque", "N·m")),
+    "constant_torque": (("torque", "N·m"),),
+    "actuator_gain": (("gain", "1"),),
+}
+FILED = {"viscous_friction": "damping", "coulomb_friction": "friction", "armature": "armature"}
+"""Of effects that are never negative, what a body's file says of each joint."""
+
+
+@dataclass(frozen=True)
+class LinearEffects:
+    """Columns along a motion.
+
+    Attributes:
+        missing: (R, K) torque that was given, less what the file asks for.
+        values: (P, R, K) expected torque of each column's unit; variance: (P, R, K) of it.
+        kinds, places, names, units: (P,) effect, joint or link, parameter, its unit.
+        size: (P,) sd of the prior where an effect is as large as is usual.
+        least: (P,) smallest value.
+        required: (K,) rms of the torque that the file asks for, or that was given, where that is more.
+        free: (P,) whether a column may be chosen. Where no torque acts, all links could be without mass: there the
+            base parameter that asks for most torque is the file's.
+        cutoff: Hz, of the filter.
+    """
+
+    missing: np.ndarray
+    values: np.ndarray
+    variance: np.ndarray
+    kinds: tuple[str, ...]
+    places: tuple[str, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    size: np.ndarray
+    least: np.ndarray
+    required: np.ndarray
+    free: np.ndarray
+    cutoff: float
+
+
+def linear_effects(
+    dynamics: Dynamics, body: Any, motion: MeasuredMotion, passive: bool, rules: Rules, cutoff: float
+) -> LinearEffects:
+    """All columns of a body along a motion, in frequencies up to ``cutoff``, Hz."""
+    K, joints = motion.q.shape[1], body.joint_names
+    sign = erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300)))
+    rigid = inverse(dynamics, body.parameters(), motion)
+    required = rigid + _filed(body, motion, sign)
+    needed, given = (np.sqrt((each**2).mean(0)) for each in (required, motion.torque))
+    whole = np.maximum(needed, given)
+    unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
+    one, none = np.ones_like(motion.q), np.zeros_like(motion.q)
+    middle = motion.q.mean(0)
+    made = {
+        "viscous_friction": [(motion.qd, motion.qd_sd**2)],
+        "coulomb_friction": [(sign, 1 - sign**2)],
+        "armature": [(motion.qdd, motion.qdd_sd**2)],
+        "joint_stiffness": [(motion.q, none), (-one, none)],
+        "constant_torque": [] if passive else [(one, none)],
+        "actuator_gain": [] if passive else [(rigid, none)],
+    }
+    parts = getattr(body, "joint_parts", ()) or [None] * K
+    values, variance, size, least, labels = [], [], [], [], []
+    for kind, columns in made.items():
+        for k in range(K):
+            for (column, spread), (name, of) in zip(columns, JOINT_KINDS[kind], strict=False):
+                here = np.zeros((2, *motion.q.shape))
+                here[:, :, k] = column[:, k], spread[:, k]
+                moved = column[:, k] - middle[k] if name == "stiffness" else column[:, k]
+                values.append(here[0])
+                variance.append(here[1])
+                size.append(unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
+                filed = getattr(parts[k] or NOTHING, FILED[kind]) if kind in FILED else np.inf
+                least.append(0.0 if name == "stiffness" else -filed)
+                labels.append((kind, joints[k], name, of))
+    links = link_regressors(dynamics, body, motion)
+    values += list(links)
+    variance += [np.zeros_like(motion.q)] * len(links)
+    own = nominal_link_numbers(body)
+    for each in own:
+        floor = max(float(np.abs(each).max()), 1e-12)
+        size += list(np.maximum(np.abs(each).ravel(), FIXED.min_link_share * floor))
+        least += [-np.inf] * each.size
+    free = np.ones(len(values), dtype=bool)
+    if passive and len(links):
+        free[-len(links) :] = _but_the_largest(links, np.concatenate([each.ravel() for each in own]))
+    labels += [(INERTIAL, link, name, of) for name, of in _link_names(body, own) for link in body.link_names]
+    kinds, places, names, units = zip(*labels, strict=True)
+    return LinearEffects(
+        low_passed(motion.torque - required, motion, cutoff),
+        low_passed(np.array(values), motion, cutoff),
+        np.array(variance),
+        kinds,
+        places,
+        names,
+        units,
+        np.array(size),
+        np.array(least) + 0.0,
+        whole,
+        free,
+        cutoff,
+    )
+
+
+def _but_the_largest(links: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Which of the columns (P, R, K) of links are a base, but for the one whose nominal torque is largest."""
+    rows = links.reshape(len(links), -1).T
+    base, rest, factors = base_columns(rows)
+    free = np.zeros(len(links), dtype=bool)
+    free[base] = True
+    if base.size:
+        torque = np.abs(own[base] + factors @ own[rest]) * np.linalg.norm(rows[:, base], axis=0)
+        free[base[int(torque.argmax())]] = False
+    return free
+
+
+def cutoff_of(motion: MeasuredMotion) -> float:
+    """Hz up to which a motion tells of torques: a few times the frequency under which its velocity has most power."""
+    longest = motion.stretch == np.bincount(motion.stretch).argmax()
+    step = float(np.median(np.diff(motion.time)))
+    window = np.hanning(longest.sum())[:, None]
+    power = np.abs(np.fft.rfft(motion.qd[longest] * window, axis=0)) ** 2
+    share = power.cumsum(0) / np.maximum(power.sum(0), 1e-300)
+    frequency = np.fft.rfftfreq(int(longest.sum()), step)
+    moves = [frequency[np.searchsorted(column, FIXED.velocity_power)] for column in share.T]
+    return float(min(max(FIXED.cutoff_factor * max(moves), FIXED.min_cutoff), 0.4 / step))
+
+
+def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
+    """Values (…, R, K) of a motion's rows through a Butterworth filter of order 4, forwards and backwards."""
+    sections = butter(4, cutoff, fs=1 / float(np.median(np.diff(motion.time))), output="sos")
+    pieces = np.split(values, np.flatnonzero(np.diff(motion.stretch)) + 1, axis=-2)
+    return np.concatenate(
+        [sosfiltfilt(sections, each, axis=-2, padlen=min(27, each.shape[-2] - 1)) for each in pieces], -2
+    )
+
+
+def _filed(body: Any, motion: MeasuredMotion, sign: np.ndarray) -> np.ndarray:
+    """What the file gives joints besides: damping, dry friction, rotors and springs, (R, K) N·m."""
+    taken = np.zeros_like(motion.q)
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None:
+            q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
+            taken[:, k] = parts.damping * qd + parts.friction * sign[:, k] + parts.armature * qdd
+            taken[:, k] += parts.stiffness * (q - parts.rest)
+    return taken
+
+
+def _link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
+    """Names and units of a link's columns, in the order of :func:`.regressors.link_regressors`."""
+    axes = [("",), AXES, NAMES] if body.dimensions == 3 else [("",), ("",), ("",)]
+    words = (("mass", "kg"), ("first moment", "kg·m"), ("second moment", "kg·m²"))
+    found = zip(words, axes, strict=True)
+    return [(f"{word} {axis}".strip(), unit) for (word, unit), every in found for axis in every] if own else []

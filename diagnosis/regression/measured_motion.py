@@ -1,0 +1,131 @@
+"""What a recording says of motion and torque, as a regression takes it: smoothed angles, averaged torques.
+
+Encoders, or angles that keypoints show, pass a Kalman smoother (:mod:`.wiener_smoother`). A torque is constant until
+the next row. It is averaged over the time that a row stands for, half a step to each side, as the motion is. Servos
+answer to the smoothed angle and velocity.
+
+Shapes: T rows of a recording, R rows of a motion, K joints. Units: rad, s, N·m.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.problem.angles import recorded_angles
+from invdyn.diagnosis.problem.stretches import stretches
+from invdyn.diagnosis.regression.wiener_smoother import SmoothedAngles, smooth
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
+from invdyn.models import ArticulatedBody
+from invdyn.models.articulated.as_filed import answered
+from invdyn.recordings import Recording
+
+
+@dataclass(frozen=True)
+class MeasuredMotion:
+    """Posterior means (R, K) of angle, velocity and acceleration, their sds, the torque (R, K), and `stretch` (R,).
+
+    `stretch` counts pieces of the recording between which time jumps.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    qd_sd: np.ndarray
+    qdd_sd: np.ndarray
+    torque: np.ndarray
+    stretch: np.ndarray
+
+    def at(self, rows: np.ndarray) -> "MeasuredMotion":
+        """Some rows of it, by number or (R,) of bool."""
+        return MeasuredMotion(**{name: values[rows] for name, values in vars(self).items()})
+
+    def split(self, share: float) -> tuple["MeasuredMotion", "MeasuredMotion"]:
+        """Its first rows, a ``share`` of them, and the others."""
+        first = np.arange(len(self.time)) < int(share * len(self.time))
+        return self.at(first), self.at(~first)
+
+
+def measured_motion(
+    recording: Recording, body: ArticulatedBody, *, passive: bool = False, rules: Rules = DEFAULT
+) -> MeasuredMotion | None:
+    """The motion of a recording; ``passive`` says that its torques are zero.
+
+    None where torques are not known, or too few rows show every joint. Raises InputError where keypoints do not fit
+    the body.
+    """
+    K, names = body.num_joints, recording.joint_names
+    order = [names.index(name) for name in body.joint_names if name in names]
+    if not passive and (recording.torques is None or len(order) < K):
+        return None
+    whole = (
+        recorded_angles(recording, body) if recording.angles is None or len(order) < K else recording.angles[:, order]
+    )
+    torque = np.zeros_like(whole)
+    if not passive and recording.torques is not None:
+        torque = recording.torques[:, order]
+    seen = np.isfinite(whole).any(1)
+    if seen.sum() < rules.recording.min_rows or not np.isfinite(whole).any(0).all():
+        return None
+    pieces = stretches(recording, rules)
+    bounds = [(piece.time[0], piece.time[-1]) for piece in pieces]
+    parts = []
+    every = max(1, int(np.ceil(seen.sum() / FIXED.max_regression_rows))) if len(pieces) == 1 else 1
+    for low, high in bounds:
+        inside = seen & (recording.time >= low) & (recording.time <= high)
+        for rows in _without_gaps(recording.time, np.flatnonzero(inside)):
+            if len(rows) >= rules.recording.min_rows * every:
+                parts.append(_means(recording.time[rows], whole[rows], every))
+    if not parts:
+        return None
+    made = [
+        _of_stretch(number, each, recording.time, torque, body, passive) for number, each in enumerate(smooth(parts))
+    ]
+    motion = MeasuredMotion(**{name: np.concatenate([vars(each)[name] for each in made]) for name in vars(made[0])})
+    sharp = motion.qdd_sd <= FIXED.max_edge_sd * np.median(motion.qdd_sd, 0) + np.finfo(float).tiny
+    known = sharp.all(1) & np.isfinite(motion.torque).all(1)
+    return motion.at(known) if known.sum() >= rules.recording.min_rows else None
+
+
+def _without_gaps(time: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+    """Runs of ``rows`` without a step far beyond the usual one."""
+    if len(rows) < 2:
+        return [rows]
+    step = np.diff(time[rows])
+    return np.split(rows, np.flatnonzero(step > FIXED.max_gap_steps * np.median(step)) + 1)
+
+
+def _means(time: np.ndarray, angle: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and angles averaged over so many rows each, where none of them is missing."""
+    if every == 1:
+        return time, angle
+    count = len(time) // every
+    shown = angle[: count * every].reshape(count, every, -1).mean(1)
+    return time[: count * every].reshape(count, every).mean(1), shown
+
+
+def _of_stretch(
+    number: int,
+    smoothed: SmoothedAngles,
+    time: np.ndarray,
+    torque: np.ndarray,
+    body: ArticulatedBody,
+    passive: bool,
+) -> MeasuredMotion:
+    q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
+    given = held_mean(time, torque, smoothed.time)
+    if not passive:
+        given = np.asarray(answered(body, *(torch.as_tensor(each) for each in (given, q, qd))).numpy())
+    sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
+    where = np.full(len(q), number)
+    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, where)
+
+
+def held_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Means (R, K) over the steps around times ``at`` (R,) of ``values`` (T, K), each constant until the next row."""
+    middle = (at[1:] + at[:-1]) / 2
+    edges = np.concatenate([at[:1], middle, at[-1:]]).clip(time[0], time[-1])
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], 0)])
+    area = np.stack([np.interp(edges, time, each) for each in total.T], -1)
+    return np.diff(area, axis=0) / np.maximum(np.diff(edges), 1e-12)[:, None]

@@ -1,0 +1,166 @@
+"""The regression of torques against motions whose effects are known, with encoders' noise."""
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.diagnosis.problem.regressors import inverse
+from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
+from invdyn.diagnosis.regression.regress import regress
+from invdyn.models import Link, planar_body
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.recordings import Recording
+
+BODY = planar_body(
+    "arm",
+    [Link("upper", "shoulder", "elbow", 0.4, 1.5), Link("fore", "elbow", "wrist", 0.3, 0.8)],
+    gravity=(0.0, -9.81),
+)
+RATE = 200.0
+
+
+class Motion:
+    """Sums of sines (T, 2), exactly."""
+
+    def __init__(self, seed, seconds=12.0):
+        rng = np.random.default_rng(seed)
+        self.time = np.arange(0, seconds, 1 / RATE)
+        w = 2 * np.pi * rng.uniform(0.15, 1.2, (5, 2))
+        a, phase = rng.uniform(0.3, 1.0, (5, 2)) / w, rng.uniform(0, 2 * np.pi, (5, 2))
+        angle = self.time[:, None, None] * w + phase
+        self.q = (a * np.sin(angle)).sum(1) - np.array([1.2, 0.0])
+        self.qd = (a * w * np.cos(angle)).sum(1)
+        self.qdd = -(a * w**2 * np.sin(angle)).sum(1)
+
+
+def recorded(seed, extra, body=BODY, noise=3e-4, torque_noise=0.05, seconds=12.0):
+    """A recording of a body along such a motion with ``extra(motion)`` N·m besides."""
+    motion = Motion(seed, seconds)
+    rng = np.random.default_rng(seed + 1000)
+    torque = inverse(dynamics_for(body), body.parameters(), motion) + extra(motion)
+    torque = torque + torque_noise * rng.standard_normal(torque.shape)
+    seen = motion.q + noise * rng.standard_normal(motion.q.shape)
+    names = BODY.joint_names
+    return Recording(motion.time, np.empty((len(seen), 0, 2)), (), angles=seen, torques=torque, joint_names=names)
+
+
+def friction(m):
+    return np.array([0.3, 0.1]) * m.qd + np.array([0.5, 0.25]) * np.sign(m.qd)
+
+
+def found(result):
+    return {(e.effect, e.place, e.parameter): e for e in result.numbers}
+
+
+def test_friction_at_every_joint_is_two_statements():
+    """With their sizes, nothing else beside them, and nearly all of the torque explained on rows not seen."""
+    result = regress(recorded(0, friction), BODY)
+    assert {(s.effect, s.everywhere) for s in result.stated} == {("viscous_friction", True), ("coulomb_friction", True)}
+    own = found(result)
+    truths = {"viscous_friction": (0.3, 0.1), "coulomb_friction": (0.5, 0.25)}
+    for (effect, place, _), each in own.items():
+        truth = truths[effect][BODY.joint_names.index(place)]
+        assert each.value == pytest.approx(truth, rel=0.1)
+        low, high = each.interval_90
+        assert low - each.sd < truth < high + each.sd
+    assert result.torque.share > 0.9
+    assert result.torque.interval_90[0] > 0.85
+
+
+def test_nothing_is_stated_where_nothing_lacks():
+    result = regress(recorded(1, lambda m: 0.0 * m.q), BODY)
+    assert result.stated == ()
+    assert result.torque.share == pytest.approx(0, abs=1e-12)
+
+
+def test_a_rotor_at_one_joint_is_stated_there():
+    result = regress(recorded(2, lambda m: m.qdd * np.array([0.0, 0.06])), BODY)
+    assert [(s.effect, s.places) for s in result.stated] == [("armature", ("elbow",))]
+    assert found(result)["armature", "elbow", "inertia"].value == pytest.approx(0.06, rel=0.05)
+
+
+def test_a_heavier_link_is_found_by_its_base_parameters():
+    """The fore-arm's first and second moments are those of the heavier link; the mass by itself is no base's."""
+    links = [BODY.links[0], Link("fore", "elbow", "wrist", 0.3, 1.2)]
+    heavy = planar_body("heavy", [Link("upper", "shoulder", "elbow", 0.4, 1.5), links[1]], gravity=(0.0, -9.81))
+    result = regress(recorded(3, lambda m: 0.0 * m.q, heavy), BODY)
+    assert {s.effect for s in result.stated} == {"inertial_error"}
+    p = heavy.parameters()
+    truth = {
+        "first moment": float(p.mass[1] * p.com[1]),
+        "second moment": float(p.inertia[1] + p.mass[1] * p.com[1] ** 2),
+    }
+    own = {e.parameter: e for e in result.numbers if e.place == "fore" and e.parameter != "mass"}
+    assert set(own) == set(truth)
+    for name, value in truth.items():
+        assert own[name].value == pytest.approx(value, rel=0.05)
+
+
+@pytest.mark.long
+def test_noise_in_encoders_biases_nothing():
+    """Damping and dry friction over six recordings of much noise: on average within two standard errors, and 3 %."""
+    values = [regress(recorded(10 + n, friction, noise=3e-3, seconds=6.0), BODY) for n in range(6)]
+    for key, truth in {
+        ("coulomb_friction", "shoulder", "torque"): 0.5,
+        ("viscous_friction", "shoulder", "damping"): 0.3,
+    }.items():
+        own = np.array([found(each)[key].value for each in values])
+        assert abs(own.mean() - truth) < 2 * own.std(ddof=1) / np.sqrt(6) + 0.03 * truth
+
+
+@pytest.mark.long
+def test_intervals_hold_the_truth():
+    """90 % intervals of four numbers in eight recordings: .7 of 32 is a binomial's chance of one in a thousand."""
+    hits = []
+    truths = {"viscous_friction": (0.3, 0.1), "coulomb_friction": (0.5, 0.25)}
+    for seed in range(20, 28):
+        for each in regress(recorded(seed, friction, seconds=6.0), BODY).numbers:
+            if each.effect in truths:
+                truth = truths[each.effect][BODY.joint_names.index(each.place)]
+                hits.append(each.interval_90[0] <= truth <= each.interval_90[1])
+    assert len(hits) >= 28
+    assert np.mean(hits) > 0.7
+
+
+@pytest.mark.long
+def test_a_free_arm_has_its_friction_and_its_masses():
+    """No torque acts on a swinging arm with friction: the file's numbers stay, as a common factor of all is open."""
+    from scipy.integrate import solve_ivp
+
+    dynamics, p = dynamics_for(BODY), BODY.parameters()
+    damping, dry = np.array([0.02, 0.01]), np.array([0.04, 0.02])
+
+    def rate(_, x):
+        q, qd = (torch.as_tensor(each) for each in (x[:2], x[2:]))
+        push = torch.as_tensor(-damping * x[2:] - dry * np.tanh(x[2:] / 1e-3))
+        return np.concatenate([x[2:], dynamics.forward(q, qd, push, p).numpy()])
+
+    time = np.arange(0, 5, 1 / RATE)
+    path = solve_ivp(rate, (0, 5), [0.2, 0.6, 0, 0], t_eval=time, rtol=1e-7, atol=1e-9, method="LSODA").y.T
+    seen = path[:, :2] + 2e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    free = Recording(time, np.empty((len(time), 0, 2)), (), angles=seen, joint_names=BODY.joint_names)
+    result = regress(free, BODY, passive=True)
+    assert {s.effect for s in result.stated} <= {"viscous_friction", "coulomb_friction"}
+    own = found(result)
+    for k, joint in enumerate(BODY.joint_names):
+        assert own["coulomb_friction", joint, "torque"].value == pytest.approx(dry[k], rel=0.3)
+
+
+def test_an_unknown_torque_says_nothing():
+    rows = Motion(0)
+    seen = Recording(rows.time, np.empty((len(rows.q), 0, 2)), (), angles=rows.q, joint_names=BODY.joint_names)
+    assert regress(seen, BODY) is None
+
+
+def test_a_torque_is_averaged_over_the_time_that_a_row_stands_for():
+    time = np.array([0.0, 1.0, 2.0, 3.0])
+    mean = held_mean(time, np.array([[1.0], [3.0], [5.0], [7.0]]), np.array([0.0, 1.0, 2.0, 3.0]))
+    assert mean[:, 0].tolist() == [1.0, 2.0, 4.0, 5.0]
+
+
+def test_a_gap_begins_another_stretch():
+    whole = recorded(0, friction)
+    rows = (whole.time < 4) | (whole.time > 7)
+    motion = measured_motion(whole.at(rows), BODY)
+    assert set(motion.stretch) == {0, 1}
+    assert not ((motion.time > 3.99) & (motion.time < 7.01)).any()
