@@ -21,7 +21,7 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
-from invdyn.diagnosis.assessment.result import LEFT_OUT, Diagnosis
+from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
 from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue, CatalogueEntry
@@ -64,6 +64,7 @@ def diagnose(
     rules: Rules = DEFAULT,
     checked: bool = False,
     force: bool = False,
+    refused: Sequence[str] = (),
     progress: Progress | None = None,
     checkpoint: str | Path | None = None,
 ) -> Diagnosis:
@@ -91,7 +92,8 @@ def diagnose(
         rules: the numbers that the diagnosis follows: `Rules().replace(temper_scale=500)`.
         checked: :func:`.check_before` was called for each recording. Else it is called here: it refuses what is
             certainly a mistake in the recording, and warns of what may be one.
-        force: go on where a mistake in the recording is sure: it is warned of, and not refused.
+        force: go on where a mistake in the recording is sure: it is warned of, and the result says it.
+        refused: what :func:`.check_before` said by force, where it was called before.
         progress: called with (done, total, what).
         checkpoint: folder of this diagnosis, made when missing: what is screened, refined and confirmed is kept there
             (:mod:`.kept_units`), so that the same call continues where it was killed, with any number of workers. With
@@ -151,7 +153,7 @@ def diagnose(
             keeper.save({})
     if not checked:
         for each in (*_each(recording), *_each(held_out or ())):
-            check_before(each, body, passive, force, rules)
+            refused = (*refused, *check_before(each, body, passive, force, rules))
     try:
         bound = diagnosis_problem(recording, body, passive=passive, force=force, rules=rules)
     except NotEnoughData as error:
@@ -219,6 +221,9 @@ def diagnose(
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})
+    if refused:
+        said = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
+        result = replace(result, method=result.method | {REFUSED: said})
     report(5, "done")
     return result
 

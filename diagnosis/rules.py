@@ -409,6 +409,9 @@ class Fixed:
     max_gap_steps: float = number(20.0, "steps", "beyond which a recording has a gap", "chosen")
     max_edge_sd: float = number(2.0, "medians", "of an acceleration's sd; rows at edges have more", "chosen")
     min_link_share: float = number(0.01, "of the largest", "that a link's number is uncertain by at least", "chosen")
+    # -- ensembles
+    max_members: int = number(10_000, "files", "of an ensemble", "stated")
+    min_unknown_share: float = number(0.9, "prior sd", "of a number's sd, from which on the log says nothing", "stated")
     # -- replays
     replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
     cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")

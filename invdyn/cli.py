@@ -195,6 +195,10 @@ def diagnose(
     write_back: Annotated[
         Path | None, typer.Option(help="Corrected copy of the body's file: .xml (MJCF), .urdf or .toml.")
     ] = None,
+    ensemble: Annotated[
+        tuple[int, Path] | None,
+        typer.Option(metavar="N DIR", help="N copies drawn from the posterior, and ranges to randomise in."),
+    ] = None,
 ) -> None:
     """Find where a simulation and a recording differ, and why.
 
@@ -220,6 +224,14 @@ def diagnose(
     check_ending("a file of tracks", tracks, ".csv")
     if write_back is not None:
         check_write_back(given.body, write_back)
+    copies = None
+    if ensemble is not None:
+        from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble
+
+        count, copies = ensemble
+        check_ensemble(count)
+        check_write_back(given.body, copies / Path(given.body).name)
+        check_outputs([copies / "randomisation.json"], given.files)
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with ProgressBar() as progress:
@@ -229,11 +241,16 @@ def diagnose(
             held_out, recordings = arguments["held_out"], arguments["recording"]
             shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
             diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
+        if ensemble is not None and copies is not None:
+            with new_folder(copies):
+                write_ensemble(diagnosis, given.body, arguments["body"], copies, ensemble[0])
         save(diagnosis, out, workers=arguments["workers"])
     say(verdict(diagnosis))
     for sentence in details(diagnosis):
         say(sentence)
     say(outputs.listing() + ("" if tracks is None else f"\n{'tracks':<10} {tracks}"))
+    if copies is not None:
+        say(f"ensemble   {copies}")
 
 
 @command()

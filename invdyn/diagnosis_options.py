@@ -123,9 +123,13 @@ class Diagnosed(Recorded):
         filmed = any(source is not LOG for source in sources)
         body = with_estimated(self.read_body(filmed=filmed), self.estimate)
 
+        refused: list[str] = []
+
         def recordings(files: list[str], **options: Any) -> Iterator[tuple["Recording", "TrackedFilm | None"]]:
             for reading in read_recordings(files, body, **{**self.reading, **options}, as_filmed=True):
-                yield self._checked(reading, body), reading.film
+                recording, said = self._checked(reading, body)
+                refused.extend(said)
+                yield recording, reading.film
 
         first, *others = recordings(self.recordings, frames=self.frames, **more)
         recording, film = first
@@ -149,22 +153,23 @@ class Diagnosed(Recorded):
             "tolerance": self.tolerance,
             "checked": True,
             "force": self.force,
+            "refused": tuple(refused),
             "seed": self.seed,
             "workers": self.workers,
         }
         return arguments, film
 
-    def _checked(self, reading: Any, body: Any) -> "Recording":
-        """The recording, if it is what it says it is; without its torques if they are to be hidden."""
+    def _checked(self, reading: Any, body: Any) -> tuple["Recording", tuple[str, ...]]:
+        """The recording, without its torques if they are to be hidden, and what was refused and gone past by force."""
         from invdyn.diagnosis.check.before import check_before
 
         recording: Recording = reading.recording.points
-        check_before(replace(reading, recording=recording), body, self.zero_torque or self.hide_torque, self.force)
+        hidden = self.zero_torque or self.hide_torque
+        refused = check_before(replace(reading, recording=recording), body, hidden, self.force)
         if not self.hide_torque:
-            return recording
-        return replace(
-            recording, torques=None, joint_names=recording.joint_names if recording.angles is not None else ()
-        )
+            return recording, refused
+        names = recording.joint_names if recording.angles is not None else ()
+        return replace(recording, torques=None, joint_names=names), refused
 
     def _joined(self, log: Any, film: Any, body: Any) -> Any:
         """A log with the film of it, on the log's clock; says by how much the film's was found to be ahead."""

@@ -53,21 +53,24 @@ def finding(
     if any(p.located for p in parameters):  # in the recording's times
         described |= {n: (described[n][0] + problem.problem.origin, "s") for n in ("start", "stop") if n in described}
     estimates = {}
+    narrowed = _narrowed(problem, cause, temper)
     for name, (values, unit) in described.items():
         low, high = np.quantile(values, [0.05, 0.95])
         # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
         mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
-        estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit)
+        share = narrowed.get(f"{effect.key}.{name}", float("nan"))
+        estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit, values, share)
     changes = {}
     for name, quantity in entry.body_file_fields.items():
         if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
             e = estimates[name]
             own = whole.get(f"body.{quantity}.{effect.place[0]}")
             if own is not None:  # the file's own number is uncertain too
-                changes[name] = Change(before, _estimate(own + described[name][0], e.unit))
+                changes[name] = Change(before, _estimate(own + described[name][0], e.unit, e.narrowed))
                 continue
             low, high = (before + end for end in e.interval_90)
-            changes[name] = Change(before, Estimate(before + e.mean, e.sd, (low, high), e.unit))
+            after = Estimate(before + e.mean, e.sd, (low, high), e.unit, before + e.draws, e.narrowed)
+            changes[name] = Change(before, after)
     known = CATALOGUE.get(effect.name) is entry
     return Finding(effect.name, effect.side, place(effect), estimates, changes, None if known else entry)
 
@@ -76,15 +79,25 @@ def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, tempe
     """The body's uncertain numbers as a cause has them."""
     found = []
     values = drawn(problem, cause, seed, temper) if problem.uncertain else {}
+    narrowed = _narrowed(problem, cause, temper) if problem.uncertain else {}
     for number in problem.uncertain:
-        after = _estimate(values[number.name], number.unit)
+        after = _estimate(values[number.name], number.unit, narrowed[number.name])
         found.append(Learned(number.place, number.what, Change(number.mean, after)))
     return tuple(found)
 
 
-def _estimate(values: np.ndarray, unit: str) -> Estimate:
+def _estimate(values: np.ndarray, unit: str, narrowed: float) -> Estimate:
     low, high = np.quantile(values, [0.05, 0.95])
-    return Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit)
+    return Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit, values, narrowed)
+
+
+def _narrowed(problem: DiagnosisProblem, cause: FittedHypothesis, temper: float) -> dict[str, float]:
+    """Sd of each of a cause's unknowns as a share of its prior's."""
+    among = unknowns(problem, cause.effects)
+    if not among.names:
+        return {}
+    sd = np.sqrt(np.diag(tempered_covariance(cause, among, temper)))
+    return dict(zip(among.names, (sd / among.sd).tolist(), strict=True))
 
 
 def drawn(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float) -> dict[str, np.ndarray]:

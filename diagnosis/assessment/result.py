@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import arviz as az
+import numpy as np
 from cattrs import Converter
 from cattrs.gen import make_dict_unstructure_fn, override
 
@@ -22,18 +23,26 @@ SCHEMA = 2
 """Of `diagnosis.json`: 2 has all of 1, and adds what of a file changes, what was learned of it, and the budget."""
 LEFT_OUT = "left out"
 """Key of `Diagnosis.method`: what was not looked at of a long recording."""
+REFUSED = "refused"
+"""Key of `Diagnosis.method`: mistakes of the recording that were gone past, by force."""
 STEPS = "steps"
 """Key of `Diagnosis.method`: that a recording is as of the file's own engine."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's posterior: mean, standard deviation, and central 90 % interval."""
+    """A parameter's posterior: mean, standard deviation, and central 90 % interval.
+
+    `draws` (N,) are of the joint posterior: the n-th of all of a cause's numbers belong together. `narrowed` is the
+    posterior's sd as a share of the prior's, NaN where it is not known: 1 where the log says nothing of it.
+    """
 
     mean: float
     sd: float
     interval_90: tuple[float, float]
     unit: str
+    draws: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    narrowed: float = field(default=math.nan, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -309,6 +318,11 @@ def _finding(finding: Finding) -> dict:
     return {"effect": finding.effect, "side": finding.side, **finding.where, "parameters": parameters}
 
 
+def _estimate(estimate: Estimate) -> dict:
+    numbers = plain([estimate.mean, estimate.sd, estimate.interval_90])
+    return dict(zip(("mean", "sd", "interval_90"), numbers, strict=True)) | {"unit": estimate.unit}
+
+
 def _learned(number: Learned) -> dict:
     after = plain(number.change.after)
     return {
@@ -346,6 +360,7 @@ HOOKS: dict[type, Callable[[Any], dict]] = {
     Learned: _learned,
     Cause: _cause,
     Gap: _gap,
+    Estimate: _estimate,
     Interval: make_dict_unstructure_fn(Interval, CONVERTER, stop=override(rename="end")),
     Outside: make_dict_unstructure_fn(Outside, CONVERTER, terms=override(omit=True)),
 }

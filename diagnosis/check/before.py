@@ -14,6 +14,9 @@ from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
 from invdyn.recordings.reading import Reading
 
+NOT_SURE = ("held",)
+"""Mistakes of rows that cost precision, and mislead nobody."""
+
 
 def check_before(
     recording: Recording | Reading,
@@ -21,10 +24,10 @@ def check_before(
     passive: bool = False,
     force: bool = False,
     rules: Rules = DEFAULT,
-) -> None:
+) -> tuple[str, ...]:
     """Raise InputError for what is certainly a mistake; warn of one that is not sure, or may be an effect.
 
-    By ``force`` nothing is raised: what would be is warned of.
+    By ``force`` nothing is raised: what would be is warned of, and returned.
 
     Certain are numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and
     less than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused
@@ -34,21 +37,23 @@ def check_before(
     the others may be none either, and are said. So are torques far from the motion of encoders that nothing explains.
     """
     checked = check(recording, body, passive=passive, effects=False, rules=rules)
-    found = checked.mistakes
+    found, refused = checked.mistakes, list[str]()
     given = recording if isinstance(recording, Recording) else recording.recording
     implausible = [wrong for wrong in found if wrong.kind == "refused"]
     for wrong in implausible:
         if isinstance(recording, Reading):
-            refuse(f"{given.name}: {wrong.words}", force)
+            refused.append(refuse(f"{given.name}: {wrong.words}", force))
             continue
         warnings.warn(f"{given.name}: {wrong.words}", stacklevel=2)
-    if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible]:
+    for wrong in (each for each in found if each.kind in NOT_SURE):
+        warnings.warn(f"{given.name}: {wrong.sentence}; `invdyn check` says more", stacklevel=2)
+    if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible and wrong.kind not in NOT_SURE]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
-        refuse(f"{given.name}: {what}; `invdyn check` says more", force)
+        refused.append(refuse(f"{given.name}: {what}; `invdyn check` says more", force))
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
         if _sure(wrong, body, rules) and effect is None and n == 0:
-            refuse(f"{said}; `invdyn check` says more", force)
+            refused.append(refuse(f"{said}; `invdyn check` says more", force))
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
     if checked.unclear and given.angles is not None:  # a film's accelerations are too noisy to tell
@@ -58,6 +63,7 @@ def check_before(
             "`invdyn check` says more",
             stacklevel=2,
         )
+    return tuple(refused)
 
 
 def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None:

@@ -23,11 +23,12 @@ from invdyn.recordings import InputError
 SIGNS = ("torque sign", "direction", "angle sign")
 
 
-def refuse(message: str, force: bool) -> None:
-    """Raise InputError for a mistake in a recording, or, by ``force``, warn of what would have been refused."""
+def refuse(message: str, force: bool) -> str:
+    """Raise InputError for a mistake in a recording, or, by ``force``, warn of it; gives the message."""
     if not force:
         raise InputError(f"{message}; --force continues")
     warnings.warn(f"{message}; continued, by --force", stacklevel=3)
+    return message
 
 
 def check_conventions(

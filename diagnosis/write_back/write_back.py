@@ -4,6 +4,7 @@ The copy is loaded by the reader that read the file; an MJCF is loaded by MuJoCo
 does the original: what both are off by stands in the report.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back import toml, urdf
-from invdyn.diagnosis.write_back.changes import correction, in_files
+from invdyn.diagnosis.write_back.changes import FileChange, correction, in_files
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.whole_file import read_whole
@@ -56,15 +57,8 @@ def write_back(
         return replace(diagnosis, written=Written(str(out), (), {}, why))
     content = read_whole(source, body_xml.MOST_BYTES)
     wanted = correction(cause, body)
-    mjcf = body_xml.is_xml(content) and b"<mujoco" in content
-    if mjcf:
-        from invdyn.diagnosis.write_back import mjcf as writer
-
-        new, left = writer.rewritten(content, str(source), body, wanted.changes)
-    elif body_xml.is_xml(content):
-        new, left = urdf.rewritten(content, wanted.changes)
-    else:
-        new, left = toml.rewritten(content, body, wanted.changes)
+    mjcf = is_mjcf(content)
+    new, left = rewritten(content, source, body, wanted.changes)
     tried = None
     with atomic_path(out) as temporary:
         temporary.write_bytes(new)
@@ -85,6 +79,24 @@ def write_back(
     )
     written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried)
     return replace(diagnosis, written=written)
+
+
+def is_mjcf(content: bytes) -> bool:
+    """Whether a file's content is MuJoCo's."""
+    return body_xml.is_xml(content) and b"<mujoco" in content
+
+
+def rewritten(
+    content: bytes, source: str | Path, body: ArticulatedBody, changes: Sequence[FileChange]
+) -> tuple[bytes, dict[str, str]]:
+    """The content of the file ``source`` with the changes; and what could not be written: words → why."""
+    if is_mjcf(content):
+        from invdyn.diagnosis.write_back import mjcf as writer
+
+        return writer.rewritten(content, str(source), body, changes)
+    if body_xml.is_xml(content):
+        return urdf.rewritten(content, changes)
+    return toml.rewritten(content, body, changes)
 
 
 def best(diagnosis: Diagnosis) -> Cause | None:

@@ -185,7 +185,9 @@ def test_what_is_refused_is_printed_and_passed_by_force(log):
     """The option, and the same in Python; what is said is what would have been refused."""
     wrong = replace(log, torques=log.torques * [1, -1])
     with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* continued, by --force"):
-        check_before(Reading(wrong), ARM, force=True)
+        (said,) = check_before(Reading(wrong), ARM, force=True)
+    assert "the torques have the other sign" in said
+    assert check_before(Reading(log), ARM, force=True) == ()
     with pytest.warns(UserWarning, match="are in degrees, it seems.* continued, by --force"):
         check_before(Reading(replace(log, angles=np.degrees(log.angles))), ARM, force=True)
     with pytest.warns(UserWarning, match=r"'elbow' the torques have the other sign.* continued, by --force"):
@@ -195,7 +197,7 @@ def test_what_is_refused_is_printed_and_passed_by_force(log):
 @pytest.mark.long
 def test_the_option_goes_past_a_refusal(tmp_path, log, monkeypatch):
     def begins(*_, **given):
-        raise InputError(f"begun by force: {given['force']}")
+        raise InputError(f"begun by force: {given['force']}, past {len(given['refused'])} refusal")
 
     monkeypatch.setattr(importlib.import_module("invdyn.diagnosis.diagnose"), "diagnose", begins)
     ARM.to_toml(tmp_path / "arm.toml")

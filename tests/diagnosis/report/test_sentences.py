@@ -70,6 +70,7 @@ def test_where_something_is_left_what_explains_most_comes_first():
     assert plainly(verdict(d)) == f"{most}no effect in the catalogue explains the rest, 0.050 N·m at the shoulder."
     small = replace(d, shrinkage=replace(shrinkage, residual_torque_rms_after=dict.fromkeys(limits, 0.03)))
     assert plainly(verdict(small)) == f"{most}the rest, 0.030 N·m at the shoulder, is less than is tolerated."
+    assert "By force, it went on." in details(replace(d, method={"refused": "By force, it went on"}))
     assert "Of 9 rows 5 were looked at." in details(replace(d, method={"left out": "Of 9 rows 5 were looked at"}))
     stopped = replace(d, not_looked_at=7)
     assert "no effect that the search came to explains the rest" in verdict(stopped)
