@@ -17,6 +17,7 @@ import numpy as np
 
 from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
+from invdyn.models.bodies.mjcf_disabled import without_disabled
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
@@ -52,8 +53,9 @@ def of(root: Element, where: str) -> Robot:
         sites.setdefault(int(body), []).append(site)
     parts = [_part(mujoco, model, data, b, joints.get(b, ()), sites.get(b, ())) for b in range(1, model.nbody)]
     names = joint_parts_mjcf.joint_names(model)
+    disabled = listed("what the file switches off", without_disabled(mujoco, model))
     joint_parts, motors = joint_parts_mjcf.read(mujoco, model, names)
-    beyond = [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
+    beyond = disabled + [entry for words, dropped_names in dropped.items() for entry in listed(words, dropped_names)]
     left_out = body_mjcf_left_out.named(mujoco, model, names, motors) + beyond
     weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts)

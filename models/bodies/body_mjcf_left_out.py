@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.models.bodies.mjcf_disabled import acts
 from invdyn.models.bodies.parts import listed
 
 AT_JOINTS = {
@@ -66,6 +67,7 @@ def _fluid(option: Any) -> list[str]:
 
 def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
     open_ones = ~np.isin(np.arange(model.nu), list(motors))
+    open_ones &= [acts(mujoco, model, a) for a in range(model.nu)] if model.nu else True
     targets = model.actuator_biasprm[:, 1:3].any(1)
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
@@ -86,13 +88,20 @@ def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
         "control limits": model.actuator_ctrllimited != 0,
         "actuators that act elsewhere than on a joint": ~np.isin(model.actuator_trntype, through),
     }
-    return [
-        entry
-        for words, having in kinds.items()
-        for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu] & open_ones)))
-    ] + listed(
-        "limits of servos' targets",
-        _of(model.actuator, np.flatnonzero((model.actuator_ctrllimited != 0) & targets & ~open_ones)),
+    return (
+        [
+            entry
+            for words, having in kinds.items()
+            for entry in listed(words, _of(model.actuator, np.flatnonzero(having[: model.nu] & open_ones)))
+        ]
+        + listed(
+            "constant forces of motors",
+            _of(model.actuator, np.flatnonzero((bias == affine) & (held[:, 0] != 0) & ~(servo | speed | open_ones))),
+        )
+        + listed(
+            "limits of servos' targets",
+            _of(model.actuator, np.flatnonzero((model.actuator_ctrllimited != 0) & targets & ~open_ones)),
+        )
     )
 
 

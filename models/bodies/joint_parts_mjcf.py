@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
+from invdyn.models.bodies.mjcf_disabled import acts
 
 
 def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:
@@ -54,10 +55,12 @@ def joint_names(model: Any) -> list[str]:
 
 
 def actuators_of(mujoco: Any, model: Any, joint: int) -> list[int]:
-    """Numbers of the actuators that act on a joint, and on no tendon, site or body of the same number."""
+    """Numbers of the actuators that act on a joint, and on no tendon, site or body; none that is disabled."""
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     kinds, targets = model.actuator_trntype, model.actuator_trnid[:, 0]
-    return [a for a in range(model.nu) if int(kinds[a]) in through and int(targets[a]) == joint]
+    return [
+        a for a in range(model.nu) if int(kinds[a]) in through and int(targets[a]) == joint and acts(mujoco, model, a)
+    ]
 
 
 def _motor(mujoco: Any, model: Any, a: int, joint: int) -> Motor | None:

@@ -278,3 +278,50 @@ def test_a_centre_of_mass_aside_is_kept_where_no_plane_is_filmed(tmp_path):
     np.testing.assert_allclose(ours.numpy(), data.qacc, rtol=1e-8)
     (tmp_path / "line.xml").write_text(exact())
     assert load_body(tmp_path / "line.xml", filmed=False).is_chain
+
+
+FLAGGED = """<mujoco><option timestep="0.002" integrator="RK4" {group}><flag {flags}/></option><worldbody><body>
+<joint name="j" axis="0 -1 0" damping="0.3" frictionloss="0.4" stiffness="2" springref="0.5"/>
+<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/><site name="tip" pos="0 0 -0.4"/></body></worldbody>
+<actuator><position name="servo" joint="j" kp="3" kv="0.1" group="2"/></actuator></mujoco>"""
+DISABLED = {
+    "friction": ('frictionloss="disable"', "", "dry friction"),
+    "damping": ('damper="disable"', "", "damping"),
+    "stiffness": ('spring="disable"', "", "springs"),
+    "motor": ('actuation="disable"', "", "actuators (servo)"),
+    "motor of a group": ("", 'actuatorgroupdisable="2"', "actuators (servo)"),
+}
+
+
+@pytest.mark.parametrize("what", DISABLED)
+def test_what_a_file_switches_off_does_not_act_and_is_named(what, tmp_path):
+    """What is left acts: accelerations are those of MuJoCo, which is without it, too."""
+    flags, group, words = DISABLED[what]
+    text = FLAGGED.format(flags=flags, group=group)
+    (tmp_path / "arm.xml").write_text(text)
+    with pytest.warns(UserWarning, match="what the file switches off") as said:
+        body = load_body(tmp_path / "arm.xml", filmed=False)
+    assert any(words in str(each.message) for each in said)
+    (parts,) = body.joint_parts
+    engine = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(engine)
+    data.qpos[:], data.qvel[:] = 0.3, 50.0  # so fast that dry friction is all that it can be
+    mujoco.mj_forward(engine, data)
+    q, qd = parts.zero + parts.sign * data.qpos[0], parts.sign * data.qvel[0]
+    torque = -parts.damping * qd - parts.friction * np.sign(qd) - parts.stiffness * (q - parts.rest)
+    if (servo := parts.servo) is not None:
+        torque += servo.gain * parts.zero + servo.bias - servo.stiffness * q - servo.damping * qd
+    dynamics = dynamics_for(body)
+    state = (torch.tensor([[value]], dtype=torch.float64) for value in (q, qd, torque))
+    expected = parts.sign * data.qacc[0]
+    assert dynamics.forward(*state, body.parameters()).item() == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_constant_force_of_a_motor_is_named(tmp_path):
+    text = FLAGGED.format(flags="", group="").replace(
+        '<position name="servo" joint="j" kp="3" kv="0.1" group="2"/>',
+        '<general name="pusher" joint="j" gainprm="1" biastype="affine" biasprm="0.7 0 0"/>',
+    )
+    (tmp_path / "arm.xml").write_text(text)
+    with pytest.warns(UserWarning, match=r"constant forces of motors \(pusher\)"):
+        load_body(tmp_path / "arm.xml", filmed=False)
