@@ -29,7 +29,7 @@ from projection import cameras_around
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import ArmModel, Body, Joint, Keypoints, Link, Observation
 from invdyn.recordings import Recording
 from invdyn.recordings.cameras import Calibration, Camera, Filmed, Views, filmed, project

@@ -80,7 +80,7 @@ from .smoothing.forward_backward import viterbi as viterbi
 from .smoothing.gauss_newton import GaussianSmoother as GaussianSmoother
 from .smoothing.gauss_newton import gauss_newton as gauss_newton
 from .smoothing.gaussian_chain import GaussianChain as GaussianChain
-from .smoothing.posterior_linearisation import gaussian_smoother as gaussian_smoother
+from .smoothing.linearised import gaussian_smoother as gaussian_smoother
 from .smoothing.posterior_linearisation import posterior_linearisation as posterior_linearisation
 from .task import Task as Task
 from .task import free_parameters as free_parameters

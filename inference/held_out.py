@@ -23,7 +23,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions, run_filters
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
 

@@ -17,6 +17,12 @@ from .dynamics.interface import Dynamics as Dynamics
 from .dynamics.planar import planar_dynamics as planar_dynamics
 from .dynamics.registry import dynamics_for as dynamics_for
 from .dynamics.symbolic import SymbolicDynamics as SymbolicDynamics
+from .engine.drives import Controls as Controls
+from .engine.drives import JointTorques as JointTorques
+from .engine.drives import Wrench as Wrench
+from .engine.model import EngineModel as EngineModel
+from .engine.readings import Readings as Readings
+from .engine.scene import Scene as Scene
 from .finite import FiniteStateModel as FiniteStateModel
 from .finite import StateNumber as StateNumber
 from .kinematic import KinematicModel as KinematicModel

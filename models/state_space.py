@@ -113,6 +113,10 @@ class StateSpaceModel(ABC):
     """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""
 
+    nonsmooth: bool = False
+    """Whether the transition's mean has kinks, as contacts make them: smoothers then fit lines over the posterior under
+    relaxed noise (:mod:`invdyn.inference.smoothing.statistical_homotopy`), and take no tangents."""
+
     # -- parameters ----------------------------------------------------------------------------
     @property
     def unconstrained(self) -> frozenset[str]:

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from invdyn.inference.contract import check_model
 from invdyn.inference.filters.proposal import Particles, Proposal
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.linearised import at_mode
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
 
@@ -47,7 +48,7 @@ class Controlled(Proposal):
         covariance = ("constant_covariance",) if self.one_gain else ()
         observations = check_model(model, observations, needs=("emission_of_state", *covariance))
         super().__init__(model)
-        self.smoother = smoother or gauss_newton(model, observations)
+        self.smoother = smoother or at_mode(model, observations)
         factors, path = self.smoother.factors, self.smoother.path
 
         def rows(values: np.ndarray | Tensor) -> Tensor:

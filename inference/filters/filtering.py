@@ -22,8 +22,8 @@ from invdyn.inference.filters.moment_matching import moment_matched
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.proposal import Proposal
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
-from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.linearised import linearised
 from invdyn.models import StateSpaceModel
 from invdyn.recordings import InputError
 
@@ -101,15 +101,17 @@ def adapted(
     """A smoother with factors refitted on pilot runs (:mod:`.iterated`), and the log-evidences (M,) of its own, if any.
 
     The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
-    guides the steadier filters. A bootstrap run ``blind`` that kept all rows gives a second path to begin at, its
-    most probable, and points to refit on: where log p(x, y) has many modes a search from afar ends in any.
+    guides the steadier filters; of a model with kinks there is one, which is not refitted. A bootstrap run ``blind``
+    that kept all rows gives a second path to begin at, its most probable, and points to refit on: where log p(x, y)
+    has many modes a search from afar ends in any.
     Dynamics that are not Gaussian are taken for their approximation (:mod:`.moment_matching`) but in the pilots'
     weights. Random numbers are torch's own (global seed).
     """
     gaussian = moment_matched(model)
     starts = [start] if blind is None else [start, most_probable_line(model, observations, blind)]
-    smoothers = [each for begin in starts for each in _linearised(gaussian, observations, begin)]
-    if options.refits == 0 or options.num_filters == 1:
+    smoothers = [each for begin in starts for each in linearised(gaussian, observations, begin)]
+    # Quadratics that are fitted across a kink are worse than the smoother's.
+    if options.refits == 0 or options.num_filters == 1 or model.nonsmooth:
         return max(smoothers[1::2], key=lambda each: float(each.log_joint)), None
 
     # Enough particles to fit a quadratic to, and no more than memory holds for every row.
@@ -121,14 +123,6 @@ def adapted(
 
     seen = [] if blind is None else [blind]
     return iterate(gaussian, observations, smoothers, pilot, iterations=options.refits, results=seen)
-
-
-def _linearised(
-    model: StateSpaceModel, observations: torch.Tensor, start: torch.Tensor | None
-) -> tuple[GaussianSmoother, GaussianSmoother]:
-    """At the mode, and over the posterior around it."""
-    mode = gauss_newton(model, observations, start=start)
-    return mode, posterior_linearisation(model, observations, mode)
 
 
 @torch.no_grad()

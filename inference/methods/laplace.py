@@ -16,7 +16,7 @@ from invdyn.inference.filters.second_opinion import linearisation_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 
 
 def laplace(

@@ -11,7 +11,7 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.second_opinion import bound_doubt
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
 

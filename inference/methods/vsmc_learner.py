@@ -22,7 +22,7 @@ from invdyn.inference.filters.second_opinion import Evidence, evidence
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.training import train
 from invdyn.inference.variational.vsmc import VSMC_ELBO

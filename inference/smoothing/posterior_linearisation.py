@@ -23,7 +23,7 @@ from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
 from invdyn.inference.smoothing.newton_rows import averaged_newton_rows, keeps_noise
 from invdyn.inference.smoothing.square_root import apply, forward_mean
@@ -55,7 +55,7 @@ def posterior_linearisation(
     for _ in range(iterations):
         try:
             with diverging():
-                refined = _one_pass(model, observations, smoother)
+                refined = one_pass(model, observations, smoother)
         except Singular:
             break  # a covariance that overflowed: the previous pass is the better answer
         moved = (refined.log_evidence - smoother.log_evidence).abs().max().item()
@@ -65,10 +65,28 @@ def posterior_linearisation(
     return smoother
 
 
-def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
+def one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
+    """The smoother of ``model`` linearised over the posterior of another one.
+
+    Raises Singular where its path is not finite.
+    """
     linear = fit_linear(model, observations, smoother.path, smoother.covariance())
+    return recentred_on_mean(model, observations, smoother.path, linear, smoother.converged)
+
+
+def recentred_on_mean(
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    linear: Linearisation,
+    converged: Tensor | None = None,
+) -> GaussianSmoother:
+    """The smoother of a linearised model (about ``path``), in deviations from its own mean.
+
+    Raises Singular where that is not finite.
+    """
     shift = forward_mean(solve(linear), linear.m0)
-    path = smoother.path + torch.as_tensor(shift)
+    path = path + torch.as_tensor(shift)
     if not bool(torch.isfinite(path).all()):
         raise Singular("the pass ran away")  # before a model that checks its values is evaluated there
     # Coordinates are deviations from the path that was fitted along: move them to the new one.
@@ -77,7 +95,9 @@ def _one_pass(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
     with torch.no_grad():
         joint = model.log_joint(path, observations)
-    return GaussianSmoother(path, factors, linear, evidence, joint, smoother.converged)
+    return GaussianSmoother(
+        path, factors, linear, evidence, joint, torch.tensor(False) if converged is None else converged
+    )
 
 
 @dataclass(frozen=True)
@@ -114,12 +134,26 @@ def fit_linear(
     Where N is one and the same in B parameter sets, (B, T, …), ``moved`` and ``seen`` may say which of them have the
     same transitions' and emissions' means, whose fits are most of the work (:func:`moved_means`).
     """
-    predicted, F, V = _transitions(moved or SharedMeans(model), path, covariance)
+    transitions = _transitions(moved or SharedMeans(model), path, covariance)
+    return _linear(model, observations, path, covariance, transitions, seen or SharedMeans(model))
+
+
+def _linear(
+    model: StateSpaceModel,
+    observations: Tensor,
+    path: Tensor,
+    covariance: Tensor,
+    transitions: Fits,
+    seen: "SharedMeans | Fits",
+) -> Linearisation:
+    """The linear model of fitted ``transitions``, and of emissions' means that are fitted or are to be."""
+    predicted, F, V = transitions
     L, m0 = prior_chain(model, path)
     with torch.no_grad():
         emission = model.emission(path, torch.arange(path.shape[-2]))
-    if keeps_noise(model, path, emission):
-        E, e, constant = _about_mean(seen or SharedMeans(model), emission, observations, path, covariance)
+    if isinstance(seen, tuple) or keeps_noise(model, path, emission):
+        fits = seen if isinstance(seen, tuple) else _emissions(seen, path, covariance)
+        E, e, constant = _about_mean(fits, emission, observations)
     else:
         E, e, constant = averaged_newton_rows(model, path, _root(covariance), observations)
     pieces = (F, predicted - path[..., 1:, :], L, E, e, m0, constant.sum(-1), V)
@@ -127,11 +161,35 @@ def fit_linear(
     return Linearisation(F_, a, L_, E_, e_, m0_, log_constant, V_)
 
 
-def _about_mean(
-    shared: SharedMeans, emission: Distribution, observations: Tensor, path: Tensor, covariance: Tensor
-) -> Fits:
+@dataclass(frozen=True)
+class Fitted:
+    """Means of transitions and emissions fitted once over N(path, covariance), for models with other noise.
+
+    Emissions keep their noise as it is along the path (:func:`.newton_rows.keeps_noise`).
+    """
+
+    observations: Tensor
+    path: Tensor
+    covariance: Tensor
+    transitions: Fits
+    emissions: Fits
+
+    @classmethod
+    def of(cls, model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor) -> "Fitted":
+        """Fit the means of a ``model`` over N(path, covariance), (T, D) and (T, D, D)."""
+        shared = SharedMeans(model.to(dtype=torch.float64, device="cpu"))
+        transitions = _transitions(shared, path, covariance)
+        emissions = _emissions(shared, path, covariance)
+        return cls(observations.detach().cpu().double(), path, covariance, transitions, emissions)
+
+    def linear(self, model: StateSpaceModel) -> Linearisation:
+        """The linear model with the noise of ``model``, whose means are the same."""
+        return _linear(model, self.observations, self.path, self.covariance, self.transitions, self.emissions)
+
+
+def _about_mean(fits: Fits, emission: Distribution, observations: Tensor) -> Fits:
     """Rows E (…, T, O, D), e (…, T, O) and constants (…, T) of an ``emission`` along path, about its mean."""
-    h, H, error = _emissions(shared, path, covariance)
+    h, H, error = fits
     with torch.no_grad():
         whitening, constant = gaussian_rows(emission, observations)
         observations = explained(emission, observations)
@@ -237,13 +295,3 @@ def _recentred(linear: Linearisation, shift: np.ndarray) -> Linearisation:
         log_constant=linear.log_constant,
         V=linear.V,
     )
-
-
-def gaussian_smoother(model: StateSpaceModel, observations: Tensor, start: Tensor | None = None) -> GaussianSmoother:
-    """Gauss–Newton from ``start`` (T, D), then linearised over the posterior.
-
-    Raises as :func:`gauss_newton` does, and ModelError for a transition without a density, as of a state without noise.
-    """
-    check_model(model, observations, needs=("gaussian_transition", "emission_of_state", "transition_density"))
-    smoother = gauss_newton(model, observations, start=start)
-    return posterior_linearisation(model, observations, smoother)

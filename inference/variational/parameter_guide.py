@@ -11,7 +11,7 @@ from torch.distributions import constraints
 
 from invdyn.inference.fitting.marginal_likelihood import LogParameters
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.path_guides import PathwiseOnly
 from invdyn.models import StateSpaceModel

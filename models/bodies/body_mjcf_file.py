@@ -5,6 +5,7 @@ bodies' grids, plugins) is dropped before MuJoCo sees it. Includes and meshes ar
 alone, and handed over as bytes. Elements that multiply themselves are refused: MuJoCo can write them out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, tostring
@@ -23,8 +24,10 @@ ALL_MESHES = 2**28
 """Bytes of all meshes of a body."""
 
 
-def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str, list[str]]]:
+def one_text(root: Element, path: str, more: Sequence[str] = ()) -> tuple[str, dict[str, bytes], dict[str, list[str]]]:
     """The text, its meshes by name, and what was dropped though it acts on the body: words → names.
+
+    ``more`` are sections that are kept too.
 
     Raises `BodyError`, which begins with `path`, for another file that may not be read, and what multiplies itself.
     """
@@ -43,7 +46,7 @@ def one_text(root: Element, path: str) -> tuple[str, dict[str, bytes], dict[str,
             left_out.setdefault("plugins", []).append(name)
         if "delay" in each.attrib:
             left_out.setdefault("delays", []).append(each.get("name", each.tag))
-    root[:] = [each for each in root if each.tag in SECTIONS]
+    root[:] = [each for each in root if each.tag in (*SECTIONS, *more)]
     if (count := sum(1 for _ in root.iter("body"))) > MOST_BODIES:
         raise BodyError(f"{path}: expected at most {MOST_BODIES} bodies, got {count}")
     where_meshes = _mesh_folder(root)

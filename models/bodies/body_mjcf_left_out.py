@@ -49,7 +49,7 @@ def named(mujoco: Any, model: Any, joints: Sequence[str], motors: Collection[int
     found += _actuators(mujoco, model, motors)
     found += listed("tendons", _of(model.tendon, range(model.ntendon)))
     found += listed("equality constraints", [_equality(mujoco, model, e) for e in range(model.neq)])
-    return found + listed("contacts", _touching(mujoco, model))
+    return found + listed("contacts", touching(mujoco, model))
 
 
 def _of(kind: Callable, numbers: Iterable[int]) -> list[str]:
@@ -113,7 +113,7 @@ def _equality(mujoco: Any, model: Any, e: int) -> str:
     return model.equality(e).name or mujoco.mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
 
 
-def _touching(mujoco: Any, model: Any) -> list[str]:
+def touching(mujoco: Any, model: Any) -> list[str]:
     """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions."""
     without = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     if model.opt.disableflags & without:

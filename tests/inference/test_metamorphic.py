@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from invdyn.inference import SMCOptions, infer, infer_states, pooled, prepare
-from invdyn.inference.smoothing.posterior_linearisation import gaussian_smoother
+from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, load_body, planar_body
 from invdyn.models.bodies.mjcf_writer import write_mjcf
 from invdyn.models.linear_gaussian import LinearGaussian

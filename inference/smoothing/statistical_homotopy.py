@@ -1,0 +1,116 @@
+"""The Gaussian smoother of dynamics with kinks: statistical linearisation under process noise that is tightened.
+
+Contacts make the transition f a function of several smooth pieces. A tangent at a path knows one piece, and
+Gauss–Newton goes back and forth between them. The best linear fit over a Gaussian (:mod:`.posterior_linearisation`;
+García-Fernández, Svensson & Särkkä, "Iterated posterior linearization smoother", IEEE Trans. Automatic Control 62,
+2017) averages over the pieces,
+
+    f(x) ≈ f̄_t + F_t (x − x̄_t) + error of covariance V_t,    over N(x̄_t, P_t),
+
+but P_t, of a sharp model, is too narrow to see a contact that a wrong path misses. So the process noise is relaxed at
+first (:meth:`.StateSpaceModel.relaxed`, amounts α from 1 to 0), by which P_t spans the pieces; the rows then place the
+path, and each stage begins at the posterior of the last one:
+
+    (x̄, P)_{k+1} = smoother of the model with noise Q(α_k), fitted over (x̄, P)_k.
+
+This is graduated optimisation (A. Blake & A. Zisserman, "Visual Reconstruction", MIT Press, 1987) in the noise. A stage
+ends when a pass changes the evidence by less than ``SETTLED`` nats, or after ``PASSES`` of them: where a kink divides
+the posterior, passes alternate, and the particles that follow share it out. Of the last stage's passes that with the
+highest evidence is kept.
+
+Shapes: observations (T, O), path (T, D). All in float64; the model gives no derivatives.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from invdyn.inference.contract import check_model
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.posterior_linearisation import fit_linear, one_pass, recentred_on_mean
+from invdyn.models.divergence import Diverged, Singular, diverging
+from invdyn.models.state_space import StateSpaceModel, gaussian_moments
+
+AMOUNTS = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+PASSES, LAST_PASSES = 4, 12
+SETTLED, LAST_SETTLED = 2.0, 0.1
+"""Nats between two passes, of a stage and of the last one."""
+
+
+def statistical_homotopy(
+    model: StateSpaceModel, observations: Tensor, start: Tensor | None = None, *, refine: GaussianSmoother | None = None
+) -> GaussianSmoother:
+    """The Gaussian smoother of a model whose transition has kinks.
+
+    Args:
+        model: with Gaussian transition noise, and :meth:`.StateSpaceModel.relaxed` dynamics.
+        observations: (T, O), NaN where missing.
+        start: path (T, D) to begin at; by default the model's own.
+        refine: a smoother of a nearby model, from which the last stage alone is done.
+
+    Raises ModelError for a model that does not fit its rows, Diverged where no pass has a finite path.
+    """
+    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
+    model = model.to(dtype=torch.float64, device="cpu")
+    observations = observations.detach().cpu().double()
+    if refine is not None:
+        return _tightest(model, observations, refine)
+    path = model.initial_paths(observations)[0] if start is None else start.detach().cpu().double()
+    smoother = None
+    for amount in AMOUNTS[:-1]:
+        relaxed = model.relaxed(amount)
+        if relaxed is model:
+            break
+        if smoother is None:
+            smoother = first_fit(relaxed, observations, path)
+        smoother = _stage(relaxed, observations, smoother)
+    return _tightest(model, observations, smoother or first_fit(model, observations, path))
+
+
+def first_fit(model: StateSpaceModel, observations: Tensor, path: Tensor) -> GaussianSmoother:
+    """The smoother of a model that is fitted over its own process noise about a ``path`` (T, D)."""
+    with torch.no_grad():
+        _, root = gaussian_moments(model.transition(path[:-1], torch.arange(1, len(path))))
+    covariance = root @ root.mT
+    covariance = torch.cat([covariance[:1], covariance])
+    with diverging():
+        linear = fit_linear(model, observations, path, covariance)
+        return recentred_on_mean(model, observations, path, linear)
+
+
+def _stage(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
+    before = math.inf
+    for _ in range(PASSES):
+        try:
+            with diverging():
+                smoother = one_pass(model, observations, smoother)
+        except Singular:
+            break
+        evidence = float(smoother.log_evidence)
+        if abs(evidence - before) < SETTLED:
+            break
+        before = evidence
+    return smoother
+
+
+def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
+    """The best of the last stage's passes."""
+    best: GaussianSmoother | None = None
+    before = math.inf
+    for _ in range(LAST_PASSES):
+        try:
+            with diverging():
+                smoother = one_pass(model, observations, smoother)
+        except Singular:
+            break
+        evidence = float(smoother.log_evidence)
+        if best is None or evidence > float(best.log_evidence):
+            best = smoother
+        if abs(evidence - before) < LAST_SETTLED:
+            break
+        before = evidence
+    if best is None:
+        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
+    best.converged = torch.tensor(abs(evidence - before) < LAST_SETTLED)
+    return best

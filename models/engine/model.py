@@ -1,0 +1,341 @@
+"""Whatever MuJoCo loads as a state-space model: its own step is the transition's mean.
+
+    x = (z, δ, v, a),    (δ, v, a)_t = step(x_{t−1}) + noise,    z_t by a torque process,    y_t ~ observation(x_t)
+
+z is the unknown drive (:mod:`.drives`), δ the configuration in a tangent chart (:mod:`.chart`), v = ``qvel``, a =
+``act``, the activations of muscles and filtered actuators. A row is as many equal steps of MuJoCo, by the file's own
+integrator, as its time step needs; within it the drive moves on a straight line from z to its mean. Noise is
+"noise.angle", "noise.velocity" and "noise.activation", standard deviations per row.
+
+Contacts are MuJoCo's soft ones: the mean is continuous, with kinks where a contact begins or ends
+(:attr:`.StateSpaceModel.nonsmooth`). The step has no derivative here: methods that need one refuse the model.
+
+Shapes: states (..., D), D = Z + 2 nv + na; rows (..., O). MuJoCo computes in float64 on the CPU for any type.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NoReturn, Self
+
+import numpy as np
+import torch
+from pyro.distributions import Distribution, MultivariateNormal, Normal
+from torch import Tensor
+
+from invdyn.models.articulated.defaults import Value, WrongValue, shaped
+from invdyn.models.articulated.timeline import Timeline
+from invdyn.models.bodies.scalars import BodyError
+from invdyn.models.engine.drives import Drive, Inputs, JointTorques
+from invdyn.models.engine.inverse_kinematics import poses
+from invdyn.models.engine.readings import EngineView, Readings
+from invdyn.models.engine.scene import Scene, engine
+from invdyn.models.engine.simulator import Simulator, unique_steps
+from invdyn.models.observation.encoders import Encoders
+from invdyn.models.observation.keypoints import Keypoints
+from invdyn.models.observation.observation import Observation
+from invdyn.models.shapes import join
+from invdyn.models.state_space import StateSpaceModel
+from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
+
+RELAXED_VELOCITY, RELAXED_ANGLE = 200.0, 30.0
+"""How many times as large the process noise is under fully relaxed dynamics."""
+
+
+class EngineModel(StateSpaceModel):
+    """Hidden Markov model of a MuJoCo model on a given time grid.
+
+    Args:
+        scene: a :class:`.Scene`, or what :meth:`.Scene.of` reads: a file (Path), a text, a ``mujoco.MjSpec``.
+        time: (T,) s, increasing; need not be regular.
+        observation: what is observed; by default keypoints at all sites. :class:`.Readings` are MuJoCo's own sensors.
+        drive: what moves it and is not known; torques at all hinges and slides by default. Several may act at once.
+        torque: process of the drive; Ornstein–Uhlenbeck by default.
+        parameters: values that replace the defaults, by dotted name, as :class:`.ArmModel` takes them; joints are the
+            degrees of freedom. And "noise.activation", "initial.activation", "initial.activation_scale" (na,).
+        threads: of the simulations; all cores by default. Results do not depend on it.
+
+    Raises BodyError for a model that cannot be used, ValueError for times that do not increase, sensors or parameters
+    that do not fit, UnknownParameter for a parameter that it does not have.
+    """
+
+    emission_about_mean = True
+
+    def __init__(
+        self,
+        scene: "Scene | Path | str | Any",
+        time: Sequence[float] | np.ndarray | Tensor,
+        observation: Observation | None = None,
+        *,
+        drive: Drive | Sequence[Drive] | None = None,
+        torque: TorqueProcess | None = None,
+        parameters: Mapping[str, Value] | None = None,
+        threads: int | None = None,
+    ):
+        self.scene = scene = scene if isinstance(scene, Scene) else Scene.of(scene)
+        observation = observation or Observation(Keypoints(range(len(scene.keypoint_names))))
+        self.observation = observation.bound(scene)
+        if self.observation.states:
+            raise ValueError("expected sensors without states of their own, got one that has some: use the arm model")
+        self.timeline = Timeline.of(time)
+        self.num_steps = len(self.timeline.time)
+        drives = (drive or JointTorques(),) if drive is None or not isinstance(drive, Sequence) else tuple(drive)
+        self.inputs = Inputs(drives, scene.model)
+        self.torque = torque or OrnsteinUhlenbeck()
+        self.torque_size = self.torque.size(self.inputs.size)
+        self.nv, self.na = int(scene.model.nv), int(scene.model.na)
+        self.state_dim = self.torque_size + 2 * self.nv + self.na
+        self.observation_dim = self.observation.size
+        self.nonsmooth = scene.nonsmooth
+        self.threads = threads
+        self.relaxation = 0.0
+        self._which, self._steps = unique_steps(self.timeline.dt.numpy(), float(scene.model.opt.timestep))
+        names = [f"drive_{name}" for name in self.inputs.names]
+        names += [f"process_{k}" for k in range(self.torque_size - len(names))]
+        names += [f"{kind}_{joint}" for kind in ("angle", "velocity") for joint in scene.joint_names]
+        self.state_names = (*names, *(f"activation_{k}" for k in range(self.na)))
+        super().__init__(self._defaults())
+        self.parameters = self.replace(**shaped(parameters or {}, self.parameters)).parameters
+
+    def _defaults(self) -> dict[str, Tensor]:
+        def constant(value: float, size: int) -> Tensor:
+            return torch.full((size,), value, dtype=torch.float64)
+
+        scale = torch.as_tensor(self.inputs.scale(self.scene.model, typical_forces(self.scene)), dtype=torch.float64)
+        found = {
+            **self.torque.defaults(scale),
+            "noise.angle": constant(1e-4, self.nv),
+            "noise.velocity": constant(1e-2, self.nv),
+            "initial.angle": constant(0.0, self.nv),
+            "initial.angle_scale": constant(1.0, self.nv),
+            "initial.velocity": constant(0.0, self.nv),
+            "initial.velocity_scale": constant(3.0, self.nv),
+            **self.observation.defaults(self.scene.reach),
+        }
+        if self.na:
+            found |= {
+                "noise.activation": constant(1e-3, self.na),
+                "initial.activation": constant(0.2, self.na),
+                "initial.activation_scale": constant(0.3, self.na),
+            }
+        return found
+
+    @property
+    def unconstrained(self) -> frozenset[str]:
+        """Parameters that may be negative."""
+        return self.torque.unconstrained | {"initial.angle", "initial.velocity"}
+
+    @property
+    def time(self) -> Tensor:
+        """(T,) s."""
+        return self.timeline.time
+
+    # -- MuJoCo ----------------------------------------------------------------------------------
+    @cached_property
+    def simulator(self) -> Simulator:
+        """Steps the model."""
+        return Simulator(self._compiled(), self.inputs.spec, self.threads)
+
+    @cached_property
+    def _watched(self) -> Simulator:
+        """Evaluates sensors: one short step, without contacts where no sensor needs them."""
+        mujoco, model = engine(self.scene.name), self._compiled()
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        if not any(isinstance(each, Readings) for each in self.observation.sensors):
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        return Simulator(model, self.inputs.spec, self.threads)
+
+    def _compiled(self) -> Any:
+        import copy
+
+        mujoco, model = engine(self.scene.name), copy.copy(self.scene.model)
+        if not self.inputs.controls_actuators:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        return model
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("simulator", "_watched")}
+
+    def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """State (..., D) → process z (..., Z), chart δ (..., nv), velocities (..., nv), activations (..., na)."""
+        z, tangent, velocity, activation = torch.split(state, [self.torque_size, self.nv, self.nv, self.na], -1)
+        return z, tangent, velocity, activation
+
+    def physics(self, flat: np.ndarray) -> np.ndarray:
+        """States (B, D) as MuJoCo has them, (B, nq + nv + na): qpos, qvel, act within its limits."""
+        _, tangent, velocity, activation = np.split(flat, np.cumsum([self.torque_size, self.nv, self.nv]), -1)
+        low, high = self._activation_limits
+        qpos = self.scene.chart.configuration(self.scene.reference, tangent)
+        return np.concatenate([qpos, velocity, np.clip(activation, low, high)], -1)
+
+    @cached_property
+    def _activation_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """(na,) each; infinite where there are none. A muscle's are 0 and 1."""
+        mujoco, model = engine(self.scene.name), self.scene.model
+        low, high = np.full(self.na, -np.inf), np.full(self.na, np.inf)
+        for a in range(model.nu):
+            first, count = int(model.actuator_actadr[a]), int(model.actuator_actnum[a])
+            if first < 0:
+                continue
+            if model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_MUSCLE:
+                low[first : first + count], high[first : first + count] = 0.0, 1.0
+            elif model.actuator_actlimited[a]:
+                low[first : first + count], high[first : first + count] = model.actuator_actrange[a]
+        return low, high
+
+    def drive_within(self, flat: np.ndarray, row: int, steps: int) -> np.ndarray:
+        """MuJoCo's inputs (B, n, C) in the n steps into a ``row``: z on a line to its mean, at the steps' middles."""
+        z = flat[:, : self.torque_size]
+        dt = self.timeline.dt[row].reshape(1)
+        mean = self.torque.mean(torch.as_tensor(z), dt, self._single()).numpy()
+        share = (np.arange(steps) + 0.5) / steps
+        now, then = (each[:, None, : self.inputs.size] for each in (z, mean))
+        return self.inputs.fields(now + share[:, None] * (then - now))
+
+    def _single(self) -> dict[str, Tensor]:
+        """The torque process's parameters that its mean depends on, of one parameter set, in float64."""
+        found = {}
+        for name, value in self.parameters.items():
+            if name.startswith("torque."):
+                flat = value.detach().cpu().double()
+                found[name] = flat.reshape(-1, *flat.shape[-1:])[0] if flat.ndim > 1 else flat
+        return found
+
+    def moved(self, state: Tensor, t: int | Tensor) -> Tensor:
+        """Mean (..., D) of the states into row ``t``, those of the drive excepted, which are zero."""
+        if state.requires_grad and torch.is_grad_enabled():
+            self._refuse_slopes()
+        flat = state.detach().cpu().double().reshape(-1, self.state_dim).numpy()
+        rows = np.broadcast_to(np.asarray(t), state.shape[:-1]).reshape(-1)
+        out = np.zeros_like(flat)
+        for kind in np.unique(which := self._which[rows]):
+            here = np.flatnonzero(which == kind)
+            length, count = self._steps[kind]
+            own = flat[here]
+            controls = self.drive_within(own, int(rows[here[0]]), count)
+            ends, _ = self.simulator.run(self.physics(own), controls, length)
+            out[here, self.torque_size :] = self._charted(ends)
+        return torch.from_numpy(out).reshape(state.shape).to(state)
+
+    def _charted(self, physics: np.ndarray) -> np.ndarray:
+        nq = self.scene.chart.num_qpos
+        tangent = self.scene.chart.tangent(self.scene.reference, physics[..., :nq])
+        return np.concatenate([tangent, physics[..., nq:]], -1)
+
+    def sensed(self, state: Tensor) -> Tensor:
+        """MuJoCo's sensor data (..., N) in states (..., D)."""
+        if state.requires_grad and torch.is_grad_enabled():
+            self._refuse_slopes()
+        flat = state.detach().cpu().double().reshape(-1, self.state_dim).numpy()
+        controls = self.inputs.fields(flat[:, None, : self.inputs.size])
+        _, sensors = self._watched.run(self.physics(flat), controls, 1e-6)
+        sensors = np.where(np.isfinite(flat).all(-1, keepdims=True), sensors[:, 0], np.nan)
+        return torch.from_numpy(sensors).reshape(*state.shape[:-1], -1).to(state)
+
+    def _refuse_slopes(self) -> NoReturn:
+        raise BodyError("MuJoCo's step has no derivative here: use smc, laplace, bootstrap or particle-gibbs")
+
+    # -- the three distributions -----------------------------------------------------------------
+    def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
+        """The law with root of the drive's covariance, or deviations, and deviations (..., 2 nv + na) of the rest."""
+        if self.torque.diagonal:
+            return Normal(mean, join(root, sds).expand_as(mean), validate_args=False).to_event(1)
+        lead = torch.broadcast_shapes(root.shape[:-2], sds.shape[:-1])
+        tril = mean.new_zeros(*lead, self.state_dim, self.state_dim)
+        tril[..., : self.torque_size, : self.torque_size] = root
+        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque_size :] = sds
+        return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+
+    def initial(self) -> Distribution:
+        """Stationary drive; the configuration, velocities and activations about "initial.…"."""
+        p = self.parameters
+        dt = self.timeline.dt[0].to(self.dtype).reshape(1)
+        root = self.torque.stationary(dt, p)
+        middle = [p["initial.angle"], p["initial.velocity"]]
+        sds = [p["initial.angle_scale"], p["initial.velocity_scale"]]
+        if self.na:
+            middle.append(p["initial.activation"])
+            sds.append(p["initial.activation_scale"])
+        mean = join(root.new_zeros(self.torque_size), *middle)
+        sd = join(*sds)
+        lead = torch.broadcast_shapes(mean.shape[:-1], sd.shape[:-1], root.shape[: -1 if self.torque.diagonal else -2])
+        return self._gaussian(mean.expand(*lead, -1), root, sd)
+
+    def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """MuJoCo's steps into row ``t``, with noise."""
+        p = self.parameters
+        dt = self.timeline.dt[t].to(state).unsqueeze(-1)
+        z = state[..., : self.torque_size]
+        drive = self.torque.mean(z, dt, p)
+        mean = self.moved(state, t)
+        mean = join(drive, mean[..., self.torque_size :])
+        root = self.torque.noise(dt, p)
+        more = [p["noise.activation"]] if self.na else []
+        sds = join(
+            p["noise.angle"] * RELAXED_ANGLE**self.relaxation,
+            p["noise.velocity"] * RELAXED_VELOCITY**self.relaxation,
+            *more,
+        )
+        return self._gaussian(mean, root, sds)
+
+    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """What the sensors show in ``state``."""
+        _, tangent, velocity, _ = self.split(state)
+        angles = torch.as_tensor(self._reference_angles).to(state) + tangent
+        readings = None
+        points = state.new_zeros(*state.shape[:-1], 0, self.scene.dimensions)
+        if not all(isinstance(each, Encoders) for each in self.observation.sensors):
+            readings = self.sensed(state)
+            columns = torch.as_tensor(self.scene.points[:, list(self.scene.plane)])
+            points = readings[..., columns]
+        view = EngineView(
+            angles,
+            velocity,
+            points,
+            angles,
+            self.scene,
+            *(_unknown,) * 4,
+            lambda: self.timeline.elapsed[t].to(state).unsqueeze(-1),
+            readings=readings,
+        )
+        return self.observation.predict(view, t, self.parameters)
+
+    @cached_property
+    def _reference_angles(self) -> np.ndarray:
+        """(nv,) the reference's own coordinates; zero of rotations."""
+        chart, out = self.scene.chart, np.zeros(self.nv)
+        out[chart.plain_dof] = self.scene.reference[chart.plain_qpos]
+        return out
+
+    # -- starts ----------------------------------------------------------------------------------
+    def initial_paths(self, observations: Tensor) -> Tensor:
+        """One path (1, T, D) through the rows' own configurations (:mod:`.inverse_kinematics`), without a drive."""
+        return torch.as_tensor(poses(self, observations.detach().cpu().double().numpy()))[None]
+
+    def relaxed(self, amount: float) -> Self:
+        """The model with more process noise in configuration and velocity, from 1 to 0."""
+        import copy
+
+        other = copy.copy(self)
+        other.relaxation = float(amount)
+        return other
+
+
+def _unknown(*_: object) -> NoReturn:
+    raise WrongValue("this sensor needs accelerations or times between rows, which an engine does not give")
+
+
+def typical_forces(scene: Scene) -> np.ndarray:
+    """Usual generalised forces (nv,): gravity's largest over a few poses, or what an acceleration of 5/s² takes."""
+    mujoco = engine(scene.name)
+    model, data, rng = scene.model, None, np.random.default_rng(0)
+    data = mujoco.MjData(model)
+    loads, inertia = [], np.zeros((model.nv, model.nv))
+    for k in range(20):
+        tangent = rng.uniform(-1, 1, scene.num_joints) * (k > 0)
+        data.qpos[:] = scene.chart.configuration(scene.reference, tangent)
+        mujoco.mj_forward(model, data)
+        loads.append(np.abs(data.qfrc_bias - data.qfrc_passive))
+        mujoco.mj_fullM(model, data, inertia)
+        loads.append(5.0 * np.abs(np.diagonal(inertia)))
+    return np.maximum(np.max(loads, 0), 1e-6)

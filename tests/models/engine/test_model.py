@@ -1,0 +1,215 @@
+"""MuJoCo as a state-space model: its three distributions against MuJoCo by hand, for every kind of drive and sensor."""
+
+import pickle
+from pathlib import Path
+
+import legs
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import check_model
+from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation
+from invdyn.models.engine.drives import Controls, JointTorques, Wrench
+from invdyn.models.engine.model import EngineModel
+from invdyn.models.engine.readings import Readings
+from invdyn.models.engine.scene import Scene
+
+F64 = torch.float64
+MUSCLED = """<mujoco model="muscled"><option timestep="0.002" integrator="RK4"/><worldbody>
+  <site name="a" pos="0 0 .1"/><site name="b" pos="0 0 -.1"/>
+  <body name="fore"><joint name="elbow" axis="0 1 0" damping=".1" range="-1.5 1.5"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1" contype="0" conaffinity="0"/>
+    <site name="front" pos=".06 0 .03"/><site name="back" pos=".06 0 -.03"/><site name="hand" pos=".3 0 0"/></body>
+</worldbody>
+<tendon><spatial name="flexor"><site site="a"/><site site="front"/></spatial>
+  <spatial name="extensor"><site site="b"/><site site="back"/></spatial></tendon>
+<actuator><muscle name="flexor" tendon="flexor" force="200"/><muscle name="extensor" tendon="extensor" force="200"/>
+</actuator>
+<sensor><gyro name="gyro" site="hand"/><tendonpos name="length" tendon="flexor"/></sensor></mujoco>"""
+FLOATING = """<mujoco model="floating"><option timestep="0.002"/><worldbody>
+  <body name="trunk" pos="0 0 1"><freejoint name="root"/><geom type="box" size=".2 .1 .05" mass="2"/>
+    <site name="head" pos=".2 0 .1"/><site name="tail" pos="-.2 .1 0"/>
+    <body name="arm" pos=".2 0 0"><joint name="hinge" axis="0 1 0"/><geom size=".04" pos=".2 0 0" mass=".3"/>
+    <site name="hand" pos=".2 0 0"/></body></body></worldbody></mujoco>"""
+
+
+def mean_of(model, state, t=1):
+    return model.transition(state, t).base_dist.loc
+
+
+def test_the_leg_moves_as_mujoco_moves_it():
+    """The drive lies on a straight line to its mean, at the middle of each step."""
+    model = EngineModel(legs.leg_file("hop"), np.arange(5) * 0.01, drive=JointTorques(("hip", "knee")))
+    state = torch.tensor([3.0, -2.0, -0.11, -0.6, 1.2, -0.5, 0.3, -0.2], dtype=F64)
+    found = mean_of(model, state)
+    compiled = mujoco.MjModel.from_xml_string(legs.leg_file("hop"))
+    data = mujoco.MjData(compiled)
+    data.qpos[:], data.qvel[:] = state[2:5], state[5:]
+    fade = np.exp(-5.0 * 0.01)
+    for k in range(10):
+        share = (k + 0.5) / 10
+        data.qfrc_applied[1:] = state[:2].numpy() * (1 - share * (1 - fade))
+        mujoco.mj_step(compiled, data)
+    assert data.ncon > 0
+    assert found[:2] == pytest.approx(state[:2].numpy() * fade)
+    assert found[2:] == pytest.approx(np.concatenate([data.qpos, data.qvel]), abs=1e-9)
+    assert model.nonsmooth
+
+
+def test_muscles_are_driven_by_excitations_and_keep_activations():
+    model = EngineModel(MUSCLED, np.arange(6) * 0.01, drive=Controls())
+    assert model.state_dim == 2 + 2 + 2
+    assert model.state_names == (
+        *("drive_flexor", "drive_extensor", "angle_elbow", "velocity_elbow"),
+        *("activation_0", "activation_1"),
+    )
+    state = torch.tensor([1.5, -0.5, 0.2, 0.0, 0.7, 0.1], dtype=F64)
+    found = mean_of(model, state)
+    compiled = mujoco.MjModel.from_xml_string(MUSCLED)
+    data, fade = mujoco.MjData(compiled), np.exp(-5.0 * 0.01)
+    data.qpos[:], data.act[:] = 0.2, [0.7, 0.1]
+    for k in range(5):
+        z = state[:2] * (1 - (k + 0.5) / 5 * (1 - fade))
+        data.ctrl[:] = torch.special.ndtr(z - 1)
+        mujoco.mj_step(compiled, data)
+    assert found[2:] == pytest.approx(np.concatenate([data.qpos, data.qvel, data.act]), abs=1e-9)
+    assert model.inputs.values(np.array([[9.0, -9.0]])) == pytest.approx(np.array([[1.0, 0.0]]), abs=1e-6)
+
+
+def test_a_wrench_pushes_a_floating_body_and_rotations_have_a_chart():
+    model = EngineModel(FLOATING, np.arange(4) * 0.02, drive=[Wrench("trunk"), JointTorques(("hinge",))])
+    names = [f"trunk_{name}" for name in ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")]
+    assert list(model.inputs.names) == [*names, "hinge"]
+    rng = np.random.default_rng(0)
+    state = torch.as_tensor(rng.normal(size=model.state_dim) * 0.5)
+    found = mean_of(model, state).numpy()
+    compiled = mujoco.MjModel.from_xml_string(FLOATING)
+    data, fade = mujoco.MjData(compiled), np.exp(-5.0 * 0.02)
+    mujoco.mj_integratePos(compiled, data.qpos, state[7:14].numpy(), 1.0)
+    data.qvel[:] = state[14:]
+    for k in range(10):
+        z = state[:7].numpy() * (1 - (k + 0.5) / 10 * (1 - fade))
+        data.xfrc_applied[1], data.qfrc_applied[6] = z[:6], z[6]
+        mujoco.mj_step(compiled, data)
+    tangent = np.empty(7)
+    mujoco.mj_differentiatePos(compiled, tangent, 1.0, compiled.qpos0, data.qpos)
+    assert found[7:14] == pytest.approx(tangent, abs=1e-9)
+    assert found[14:] == pytest.approx(data.qvel, abs=1e-9)
+
+
+def test_sensors_see_what_mujoco_shows():
+    """Keypoints in the plane and in space, encoders, and the file's own sensors."""
+    observation = Observation(Keypoints(["hand"]), Encoders(), Readings())
+    model = EngineModel(MUSCLED, np.arange(3) * 0.01, observation, drive=Controls())
+    state = torch.tensor([0.0, 0.0, 0.4, 1.5, 0.3, 0.2], dtype=F64)
+    row = model.emission(state, 0).base_dist.loc.numpy()
+    compiled = mujoco.MjModel.from_xml_string(MUSCLED)
+    data = mujoco.MjData(compiled)
+    data.qpos[:], data.qvel[:] = 0.4, 1.5
+    mujoco.mj_forward(compiled, data)
+    expected = np.concatenate([data.site("hand").xpos, data.qpos, data.sensordata])
+    assert row == pytest.approx(expected, abs=1e-9)
+    flat = EngineModel(Scene.of(MUSCLED, dimensions=2), np.arange(3) * 0.01, Observation(Keypoints(["hand"])))
+    shown = flat.emission(torch.tensor([0.0, 0.4, 0.0, 0.0, 0.0], dtype=F64), 0).base_dist.loc
+    assert shown == pytest.approx(data.site("hand").xpos[[0, 2]], abs=1e-9)
+
+
+def test_many_states_and_rows_at_once_are_the_same_as_one_by_one():
+    times = np.array([0, 0.01, 0.02, 0.04, 0.05])
+    model = EngineModel(Scene.of(legs.leg_file("stance"), dimensions=2), times)
+    check_model(model, np.zeros((5, 8)), needs=("gaussian_transition", "constant_covariance", "transition_density"))
+    path, rows = model.simulate((3,), seed=0)
+    assert torch.isfinite(path).all()
+    assert torch.isfinite(rows).all()
+    every = mean_of(model, path[:, :-1], torch.arange(1, 5))
+    for t in range(1, 5):
+        for own, state in zip(every[:, t - 1], path[:, t - 1], strict=True):
+            assert torch.equal(own, mean_of(model, state, t))
+
+
+def test_processes_of_any_kind_drive_it():
+    model = EngineModel(legs.leg_file("hop"), np.arange(4) * 0.01, torque=Matern52())
+    path, _ = model.simulate(seed=1)
+    assert path.shape == (4, 3 * 3 + 6)
+    assert torch.isfinite(path).all()
+    assert model.transition(path[:-1], torch.arange(1, 4)).scale_tril.shape == (3, 15, 15)
+
+
+def test_it_travels_to_workers_and_needs_no_slopes():
+    model = EngineModel(legs.leg_file("hop"), np.arange(4) * 0.01)
+    state = torch.zeros(model.state_dim, dtype=F64)
+    before = mean_of(model, state)
+    assert torch.equal(mean_of(pickle.loads(pickle.dumps(model)), state), before)
+    with pytest.raises(BodyError, match="no derivative here: use smc"):
+        model.transition(state.requires_grad_(), 1)
+
+
+def test_poses_explain_the_rows():
+    """Without noise the path through the rows is the true one."""
+    leg = legs.leg_recording("hop", 0, rows=40, noise=0.0)
+    model = EngineModel(Scene.of(leg.text, dimensions=2), leg.time, parameters={"emission.keypoint_scale": 0.002})
+    rows = torch.as_tensor(leg.rows)
+    rows[10:13] = torch.nan
+    path = model.initial_paths(rows)[0].numpy()
+    seen = np.r_[5:8, 18:36]
+    off = path[seen, 3:6] - leg.states[seen, 2:5]
+    assert np.sqrt((off**2).mean(0)) == pytest.approx(np.zeros(3), abs=0.03)  # a smoothed path cuts impacts off
+
+
+BAD = {
+    "an empty world": ("<mujoco/>", "expected a joint, got none"),
+    "no MJCF": ("<mujoco><worldbody><body/></worldbody></mujoco", "not well-formed|no element|XML"),
+    "a start inside the floor": (
+        legs.leg_file("hop").replace('pos="0 0 .55"', 'pos="0 0 .4"'),
+        r"foot starts 0\.125 m inside floor: move the body",
+    ),
+    "what runs away": (
+        legs.leg_file("hop").replace("</worldbody>", "</worldbody><actuator>"
+        '<general joint="knee" biastype="affine" gainprm="0" biasprm="5 -1e7 0"/></actuator>'),
+        "the simulation runs away by itself",
+    ),
+    "too many shapes": (
+        legs.leg_file("hop").replace("</worldbody>", '<geom size=".01" pos="0 0 9"/>' * 600 + "</worldbody>"),
+        "expected at most 500 shapes that may touch something, got 60",
+    ),
+    "a plugin": (
+        legs.leg_file("hop").replace("<worldbody>", '<extension><plugin plugin="a.b"/></extension><worldbody>'),
+        r"plugins \(a\.b\) are no part of a state",
+    ),
+    "a height field": (
+        legs.leg_file("hop").replace("<worldbody>", '<worldbody><geom type="hfield" hfield="h"/>'),
+        "a height field is not read",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_models_are_refused_in_one_line(case, tmp_path):
+    text, message = BAD[case]
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    with pytest.raises(BodyError, match=message) as refused:
+        Scene.of(Path(path))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("drive", "message"),
+    [
+        (JointTorques(("ankle",)), "expected joints among height, hip, knee, got 'ankle'"),
+        (Controls(), "expected a file with actuators, got none"),
+        (Wrench("head"), "expected a body among trunk, thigh, shank, got 'head'"),
+    ],
+)
+def test_bad_drives_are_refused(drive, message):
+    with pytest.raises(BodyError, match=message):
+        EngineModel(legs.leg_file("hop"), np.arange(3) * 0.01, drive=drive)
+
+
+def test_bad_sensors_and_parameters_are_refused():
+    with pytest.raises(ValueError, match="expected sensors among none, got 'gyro'"):
+        EngineModel(legs.leg_file("hop"), np.arange(3) * 0.01, Observation(Readings(("gyro",))))
+    with pytest.raises(KeyError, match=r"no parameter torque\.size"):
+        EngineModel(legs.leg_file("hop"), np.arange(3) * 0.01, parameters={"torque.size": 1.0})
