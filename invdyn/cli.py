@@ -15,7 +15,7 @@ from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
 from .inference_options import Inference, kinematic_arguments, open_workers
 from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
-from .settings import GroupedCommand, with_settings
+from .settings import GroupedCommand, Setting, with_settings
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
 
@@ -107,6 +107,12 @@ def infer(
     kinematic: Annotated[
         bool, typer.Option("--kinematic", help="Motion and lengths alone, without forces; by smc or laplace.")
     ] = False,
+    engine: Annotated[
+        str, Setting("dynamics: mujoco for contact, loops, tendons, muscles, or own; default: by the body's file")
+    ] = "auto",
+    drive: Annotated[
+        str, Setting("what MuJoCo's engine infers: joints, actuators or wrench:BODY; default: muscles, else joints")
+    ] = "auto",
 ) -> None:
     """Infer the torques that moved a recorded body.
 
@@ -116,6 +122,7 @@ def infer(
 
     from invdyn import inference
 
+    from .engine_input import engine_reasons, infer_by_engine
     from .outputs import OutputFiles
     from .summary import summary_text
 
@@ -123,6 +130,13 @@ def infer(
     files = OutputFiles(tuple(out or ()))
     tracks = given.tracks_file(files.usual_tracks)
     files.check(*given.files, inferred=True, tracks=tracks, torques=not kinematic)
+    if not kinematic and (reasons := engine_reasons(given, engine)) is not None:
+        with open_workers(given.workers) as executor, ProgressBar() as progress:
+            idata = infer_by_engine(given, method, drive, reasons, progress, executor)
+            files.write(idata, progress)
+        say(summary_text(idata))
+        say(files.listing())
+        return
     arguments = given.arguments
     run: Callable[..., Any] = inference.infer
     if kinematic:

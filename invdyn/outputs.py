@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Container, Hashable, Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import arviz as az
@@ -175,4 +176,24 @@ def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
         for number, joint in enumerate(idata["posterior"]["joint"].values):
             for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
                 columns[f"{joint}_{quantity}{suffix}"] = values[:, number]
+    return columns | engine_curves(idata)
+
+
+OF_ENGINE = {"activation": "activation", "actuator_force": "force", "contact_force": "force"}
+"""Variables of MuJoCo's engine, and what their columns end in."""
+
+
+def engine_curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
+    """Columns, as above, of activations, forces of actuators and of contacts along each axis; {} without them."""
+    columns = {}
+    for name, ending in OF_ENGINE.items():
+        if name not in idata["posterior"]:
+            continue
+        own = idata["posterior"][name].stack(sample=("chain", "draw"), create_index=False).transpose("sample", ...)
+        low, median, high = np.quantile(own.values, [0.05, 0.5, 0.95], axis=0)
+        of = [str(each) for each in own.coords[own.dims[2]].values]
+        axes = [f"_{axis}" for axis in own.coords["axis"].values] if "axis" in own.dims else [""]
+        for k, (each, axis) in enumerate(product(of, axes)):
+            for suffix, values in (("", median), ("_q05", low), ("_q95", high)):
+                columns[f"{each}_{ending}{axis}{suffix}"] = values.reshape(len(values), -1)[:, k]
     return columns

@@ -113,8 +113,11 @@ def _equality(mujoco: Any, model: Any, e: int) -> str:
     return model.equality(e).name or mujoco.mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
 
 
-def touching(mujoco: Any, model: Any) -> list[str]:
-    """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions."""
+def touching(mujoco: Any, model: Any, with_world: bool = False) -> list[str]:
+    """Bodies of the chain that may touch something: MuJoCo's own filters by bits, welds, parents and exclusions.
+
+    ``with_world``: that may touch what does not move.
+    """
     without = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     if model.opt.disableflags & without:
         return []
@@ -133,4 +136,5 @@ def touching(mujoco: Any, model: Any) -> list[str]:
         pair = model.geom_bodyid[one], model.geom_bodyid[other]
         may[pair] = may[pair[::-1]] = 1
     moving = np.flatnonzero(weld != 0)
-    return _of(model.body, [int(b) for b in moving if may[b].any()])
+    others = weld == 0 if with_world else np.full(model.nbody, True)
+    return _of(model.body, [int(b) for b in moving if may[b, others].any()])

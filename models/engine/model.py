@@ -13,8 +13,11 @@ Contacts are MuJoCo's soft ones: the mean is continuous, with kinks where a cont
 Shapes: states (..., D), D = Z + 2 nv + na; rows (..., O). MuJoCo computes in float64 on the CPU for any type.
 """
 
+import copy
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -40,6 +43,8 @@ from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
 RELAXED_VELOCITY, RELAXED_ANGLE = 200.0, 30.0
 """How many times as large the process noise is under fully relaxed dynamics."""
+MEMO_BYTES = 2**28
+"""Of results that are kept."""
 
 
 class EngineModel(StateSpaceModel):
@@ -89,6 +94,7 @@ class EngineModel(StateSpaceModel):
         self.nonsmooth = scene.nonsmooth
         self.threads = threads
         self.relaxation = 0.0
+        self._memo = Memo()
         self._which, self._steps = unique_steps(self.timeline.dt.numpy(), float(scene.model.opt.timestep))
         names = [f"drive_{name}" for name in self.inputs.names]
         names += [f"process_{k}" for k in range(self.torque_size - len(names))]
@@ -134,27 +140,41 @@ class EngineModel(StateSpaceModel):
     @cached_property
     def simulator(self) -> Simulator:
         """Steps the model."""
-        return Simulator(self._compiled(), self.inputs.spec, self.threads)
+        return Simulator(self.compiled(), self.inputs.spec, self.threads)
 
     @cached_property
     def _watched(self) -> Simulator:
         """Evaluates sensors: one short step, without contacts where no sensor needs them."""
-        mujoco, model = engine(self.scene.name), self._compiled()
+        mujoco, model = engine(self.scene.name), self.compiled()
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         if not any(isinstance(each, Readings) for each in self.observation.sensors):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
         return Simulator(model, self.inputs.spec, self.threads)
 
-    def _compiled(self) -> Any:
-        import copy
+    def compiled(self) -> Any:
+        """A copy of the ``MjModel``, as it is driven."""
+        return self.as_driven(copy.copy(self.scene.model))
 
-        mujoco, model = engine(self.scene.name), copy.copy(self.scene.model)
+    def as_driven(self, compiled: Any) -> Any:
+        """A compiled model whose actuators are switched off if no drive sets them."""
         if not self.inputs.controls_actuators:
-            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-        return model
+            compiled.opt.disableflags |= engine(self.scene.name).mjtDisableBit.mjDSBL_ACTUATION
+        return compiled
+
+    def row_steps(self, row: int) -> tuple[float, int]:
+        """Length in s, and number, of MuJoCo's steps into a ``row``."""
+        return self._steps[int(self._which[row])]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("simulator", "_watched")}
+        return {name: value for name, value in vars(self).items() if name not in ("simulator", "_watched", "_memo")}
+
+    def __copy__(self) -> Self:
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))  # with its simulators and results, which no parameter changes
+        return other
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _memo=Memo())
 
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """State (..., D) → process z (..., Z), chart δ (..., nv), velocities (..., nv), activations (..., na)."""
@@ -184,13 +204,19 @@ class EngineModel(StateSpaceModel):
         return low, high
 
     def drive_within(self, flat: np.ndarray, row: int, steps: int) -> np.ndarray:
-        """MuJoCo's inputs (B, n, C) in the n steps into a ``row``: z on a line to its mean, at the steps' middles."""
-        z = flat[:, : self.torque_size]
-        dt = self.timeline.dt[row].reshape(1)
-        mean = self.torque.mean(torch.as_tensor(z), dt, self._single()).numpy()
+        """MuJoCo's inputs (B, n, C) in the n steps into a ``row``, from states (B, D)."""
+        return self._within(flat, self._faded(flat, np.full(len(flat), row)), steps)
+
+    def _within(self, flat: np.ndarray, faded: np.ndarray, steps: int) -> np.ndarray:
+        """The same: z on a line to its mean ``faded`` (B, Z), at the steps' middles."""
         share = (np.arange(steps) + 0.5) / steps
-        now, then = (each[:, None, : self.inputs.size] for each in (z, mean))
+        now, then = (each[:, None, : self.inputs.size] for each in (flat, faded))
         return self.inputs.fields(now + share[:, None] * (then - now))
+
+    def _faded(self, flat: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Means (B, Z) of the drive in ``rows`` (B,), given states (B, D) before them."""
+        dt = self.timeline.dt[torch.from_numpy(rows)].cpu().double().unsqueeze(-1)
+        return self.torque.mean(torch.as_tensor(flat[:, : self.torque_size]), dt, self._single()).numpy()
 
     def _single(self) -> dict[str, Tensor]:
         """The torque process's parameters that its mean depends on, of one parameter set, in float64."""
@@ -205,17 +231,25 @@ class EngineModel(StateSpaceModel):
         """Mean (..., D) of the states into row ``t``, those of the drive excepted, which are zero."""
         if state.requires_grad and torch.is_grad_enabled():
             self._refuse_slopes()
-        flat = state.detach().cpu().double().reshape(-1, self.state_dim).numpy()
-        rows = np.broadcast_to(np.asarray(t), state.shape[:-1]).reshape(-1)
+        flat = state.detach().cpu().double().reshape(-1, self.state_dim).contiguous().numpy()
+        rows = np.broadcast_to(np.asarray(t), state.shape[:-1]).reshape(-1).copy()
+        faded = self._faded(flat, rows)
+        key = blake2b(b"".join(each.tobytes() for each in (flat, rows, faded)), digest_size=20).digest()
+        out = self._memo.get(key)
+        if out is None:
+            out = self._memo.add(key, self._moved(flat, rows, faded))
+        return torch.from_numpy(out.copy()).reshape(state.shape).to(state)
+
+    def _moved(self, flat: np.ndarray, rows: np.ndarray, faded: np.ndarray) -> np.ndarray:
         out = np.zeros_like(flat)
         for kind in np.unique(which := self._which[rows]):
             here = np.flatnonzero(which == kind)
             length, count = self._steps[kind]
             own = flat[here]
-            controls = self.drive_within(own, int(rows[here[0]]), count)
+            controls = self._within(own, faded[here], count)
             ends, _ = self.simulator.run(self.physics(own), controls, length)
             out[here, self.torque_size :] = self._charted(ends)
-        return torch.from_numpy(out).reshape(state.shape).to(state)
+        return out
 
     def _charted(self, physics: np.ndarray) -> np.ndarray:
         nq = self.scene.chart.num_qpos
@@ -281,7 +315,7 @@ class EngineModel(StateSpaceModel):
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """What the sensors show in ``state``."""
         _, tangent, velocity, _ = self.split(state)
-        angles = torch.as_tensor(self._reference_angles).to(state) + tangent
+        angles = torch.as_tensor(self.reference_angles).to(state) + tangent
         readings = None
         points = state.new_zeros(*state.shape[:-1], 0, self.scene.dimensions)
         if not all(isinstance(each, Encoders) for each in self.observation.sensors):
@@ -301,7 +335,7 @@ class EngineModel(StateSpaceModel):
         return self.observation.predict(view, t, self.parameters)
 
     @cached_property
-    def _reference_angles(self) -> np.ndarray:
+    def reference_angles(self) -> np.ndarray:
         """(nv,) the reference's own coordinates; zero of rotations."""
         chart, out = self.scene.chart, np.zeros(self.nv)
         out[chart.plain_dof] = self.scene.reference[chart.plain_qpos]
@@ -314,11 +348,29 @@ class EngineModel(StateSpaceModel):
 
     def relaxed(self, amount: float) -> Self:
         """The model with more process noise in configuration and velocity, from 1 to 0."""
-        import copy
-
         other = copy.copy(self)
         other.relaxation = float(amount)
         return other
+
+
+class Memo:
+    """The last results of MuJoCo, by what they depend on: a smoothed filter asks for each row's means twice."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        self._size = 0
+
+    def get(self, key: bytes) -> np.ndarray | None:
+        """What was kept, or None."""
+        return self._kept.get(key)
+
+    def add(self, key: bytes, value: np.ndarray) -> np.ndarray:
+        """Keep a value, in place of the oldest ones where there is no room; return it."""
+        self._kept[key] = value
+        self._size += value.nbytes
+        while self._size > MEMO_BYTES:
+            self._size -= self._kept.popitem(last=False)[1].nbytes
+        return value
 
 
 def _unknown(*_: object) -> NoReturn:

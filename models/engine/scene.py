@@ -75,6 +75,8 @@ class Scene(BodyBase):
             try:
                 spec = source if isinstance(source, mujoco.MjSpec) else _read(mujoco, source, where)
                 _check_memory(spec, where)
+                for number, geom in enumerate(spec.geoms):
+                    geom.name = geom.name or f"geom{number}"
                 for number, site in enumerate(spec.sites):
                     site.name = site.name or f"site{number}"
                     spec.add_sensor(
@@ -223,6 +225,6 @@ def _check_start(mujoco: Any, model: Any, where: str) -> None:
 
 
 def geom_name(model: Any, geom: int) -> str:
-    """Its name, or that of its body."""
-    body = model.body(int(model.geom_bodyid[geom])).name
-    return model.geom(geom).name or body or f"geom{geom}"
+    """Its name; that of its body, if it has none of its own."""
+    own, body = model.geom(geom).name, model.body(int(model.geom_bodyid[geom])).name
+    return body if not own or (own == f"geom{geom}" and body and body != "world") else own

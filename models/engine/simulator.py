@@ -8,6 +8,7 @@ Shapes: B states, n steps; physics (B, nq + nv + na); controls (B, n, C), C numb
 ``control_spec``; sensors (B, n, S), each of the state *before* a step.
 """
 
+import copy
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -52,8 +53,6 @@ class Simulator:
     def _at(self, timestep: float) -> Any:
         """The model with that time step, s."""
         if timestep not in self._timed:
-            import copy
-
             model = copy.copy(self.model)
             model.opt.timestep = timestep
             self._timed[timestep] = model

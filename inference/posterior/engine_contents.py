@@ -1,0 +1,233 @@
+"""What the posterior of a MuJoCo model holds: the arm's variables, and what contacts and actuators do.
+
+posterior             torque [chain, draw, time, joint] N·m (N of slides), the generalised force of the drive at each
+                      degree of freedom; angle rad and velocity rad/s of them; position [.., keypoint, space];
+                      drive [.., input] in each input's unit (controls, excitations, wrenches); activation
+                      [.., activation] and actuator_force [.., actuator] N where the file's actuators are the drive;
+                      contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch
+posterior_predictive  position, angle, sensor with observation noise
+observed_data         the same, as recorded
+constant_data         the model's parameters; skeleton
+attributes            "engine": why MuJoCo's; "hidden": what the motion does not tell, a line each
+
+Shapes: paths (M, R, T, D).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
+from invdyn.models.bodies.protocol import AXES
+from invdyn.models.engine.contacts import ContactForces, contact_forces
+from invdyn.models.engine.model import EngineModel
+from invdyn.models.engine.scene import Scene, engine
+from invdyn.recordings import Recording, Truth
+
+UNTOLD = 0.6
+"""Posterior sd, as a share of the prior's, from which on the motion says next to nothing of a number."""
+SPLIT = 3.0
+"""Times as uncertain as their sum that single forces are where their split is not told."""
+
+
+def engine_contents(
+    model: EngineModel,
+    observations: Tensor,
+    recording: Recording,
+    truth: Truth | None,
+    reasons: Sequence[str],
+    paths: Tensor,
+    rows: Tensor,
+) -> Contents:
+    """Return what the posterior holds; arguments are those of :func:`.arm_contents.arm_contents`.
+
+    ``reasons`` say why MuJoCo's engine was taken.
+    """
+    scene, joints = model.scene, [*DRAWS, "time", "joint"]
+    z, tangent, velocity, activation = model.split(paths)
+    flat = paths.reshape(-1, *paths.shape[-2:]).numpy()
+    force, actuator_force = generalised_forces(model, flat)
+    lead = paths.shape[:2]
+    points = torch.as_tensor(model.sensed(paths).numpy()[..., scene.points[:, list(scene.plane)]])
+    posterior: Variables = {
+        "torque": (joints, force.reshape(*lead, *force.shape[1:])),
+        "angle": (joints, tangent + torch.as_tensor(model.reference_angles)),
+        "velocity": (joints, velocity),
+        "position": ([*DRAWS, "time", "keypoint", "space"], points),
+        "drive": ([*DRAWS, "time", "input"], model.inputs.values(z[..., : model.inputs.size].numpy())),
+    }
+    if model.inputs.controls_actuators:
+        shape = (*lead, *actuator_force.shape[1:])
+        posterior["actuator_force"] = ([*DRAWS, "time", "actuator"], actuator_force.reshape(shape))
+    if model.na:
+        posterior["activation"] = ([*DRAWS, "time", "activation_of"], activation)
+    contacts = contact_forces(model, flat)
+    if contacts.pairs:
+        sizes = [*DRAWS, "time", "contact", "axis"]
+        posterior["contact_force"] = (sizes, contacts.force.reshape(*lead, *contacts.force.shape[1:]))
+        posterior["centre_of_pressure"] = (sizes, contacts.centre.reshape(*lead, *contacts.centre.shape[1:]))
+
+    predictive: Variables = {}
+    observed: Variables = {}
+    seen: dict[str, Any] = {}
+    units = _units(model)
+    for sensor in model.observation.sensors:
+        dims = list(sensor.coords)
+        predictive[sensor.name] = ([*DRAWS, "time", *dims], model.observation.of(sensor, rows))
+        observed[sensor.name] = (["time", *dims], model.observation.of(sensor, observations))
+        units |= {sensor.name: "m" if sensor.unit == "length" else sensor.unit}
+        seen |= {dim: list(names) for dim, names in sensor.coords.items()}
+    attributes: dict[str, Any] = {
+        "recording": recording.name,
+        "body": scene.name,
+        "length_unit": "m",
+        "model": "dynamic",
+        "engine": f"dynamics by MuJoCo: {'; '.join(reasons)}" if reasons else "dynamics by MuJoCo",
+    }
+    lines = [*untold(model, z.numpy()), *contact_lines(contacts)]
+    if lines:
+        attributes["hidden"] = "\n".join(lines)
+    constants: Variables = {
+        name: ([f"{name}_{axis}" for axis in range(value.ndim)], value.detach())
+        for name, value in model.parameters.items()
+    }
+    if skeleton := _skeleton(scene):
+        constants["skeleton"] = (["edge", "end"], np.array(skeleton))
+    constants |= _truth(scene, truth)
+    coords: dict[str, Any] = {
+        "time": recording.time,
+        "joint": list(scene.joint_names),
+        "space": [AXES[axis] for axis in scene.plane],
+        "axis": list(AXES),
+        "keypoint": list(scene.keypoint_names),
+        "input": list(model.inputs.names),
+        "actuator": list(scene.actuator_names),
+        "activation_of": activation_names(model),
+        "contact": list(contacts.names),
+    }
+    return Contents(posterior, predictive, observed, constants, coords, units, attributes, seen)
+
+
+def generalised_forces(model: EngineModel, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the drive in states (N, T, D): at degrees of freedom (N, T, nv), and of actuators (N, T, nu)."""
+    mujoco, scene = engine(model.scene.name), model.scene
+    flat = paths.reshape(-1, paths.shape[-1])
+    fields = model.inputs.fields(flat[:, : model.inputs.size])
+    compiled = model.compiled()
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(compiled)
+    out, own = np.zeros((len(flat), model.nv)), np.zeros((len(flat), compiled.nu))
+    pushed = np.zeros(model.nv)
+    nq, nv = compiled.nq, compiled.nv
+    for k, (physics, inputs) in enumerate(zip(model.physics(flat), fields, strict=True)):
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(physics, [nq, nq + nv])
+        mujoco.mj_setState(compiled, data, inputs, model.inputs.spec)
+        mujoco.mj_fwdPosition(compiled, data)
+        mujoco.mj_fwdVelocity(compiled, data)
+        mujoco.mj_fwdActuation(compiled, data)
+        pushed[:] = 0
+        if data.xfrc_applied.any():
+            for body in np.flatnonzero(data.xfrc_applied.any(1)):
+                wrench = data.xfrc_applied[body]
+                mujoco.mj_applyFT(compiled, data, wrench[:3], wrench[3:], data.xipos[body], int(body), pushed)
+        out[k] = data.qfrc_applied + data.qfrc_actuator + pushed
+        own[k] = data.actuator_force
+    shape = paths.shape[:-1]
+    assert scene.num_joints == model.nv
+    return out.reshape(*shape, -1), own.reshape(*shape, -1)
+
+
+def untold(model: EngineModel, z: np.ndarray) -> list[str]:
+    """A line for each driven number of which the motion says next to nothing, from draws (M, R, T, Z)."""
+    prior = model.initial()
+    base = getattr(prior, "base_dist", None)
+    sd = base.scale if base is not None else prior.covariance_matrix.diagonal(dim1=-2, dim2=-1).sqrt()
+    sd = sd.detach().reshape(-1, sd.shape[-1])[0, : model.inputs.size].numpy()
+    own = z[..., : model.inputs.size].reshape(-1, *z.shape[-2:-1], model.inputs.size).std(0)
+    share = np.median(own, 0) / sd
+    return [
+        f"the motion hardly tells {name}: its band is {100 * part:.0f} % as wide as before anything was seen"
+        for name, part in zip(model.inputs.names, share, strict=True)
+        if part > UNTOLD
+    ]
+
+
+def contact_lines(contacts: ContactForces) -> list[str]:
+    """What is known of each contact with the ground, and whether the split among them is not told."""
+    lines = []
+    size = np.linalg.norm(contacts.force, axis=-1)  # (N, T, P)
+    for k, name in enumerate(contacts.names):
+        acting = np.median(size[..., k], 0) > 1.0
+        if acting.any():
+            mean, width = size[:, acting, k].mean(), np.ptp(np.quantile(size[:, acting, k], [0.05, 0.95], 0), 0).mean()
+            lines.append(
+                f"contact {name}: {mean:.3g} N ± {width / 2:.2g} (90 %) in {100 * acting.mean():.0f} % of rows"
+            )
+    ground = np.flatnonzero(contacts.ground)
+    both = [(i, j) for i in ground for j in ground if i < j]
+    for i, j in both:
+        one, other = (contacts.force[..., k, 2] for k in (i, j))
+        stands = (np.median(one, 0) > 1.0) & (np.median(other, 0) > 1.0)
+        if not stands.any():
+            continue
+        single = float(np.minimum(one.std(0), other.std(0))[stands].mean())
+        together = float((one + other).std(0)[stands].mean())
+        if single > SPLIT * max(together, 1e-9):
+            lines.append(
+                f"while both touch, the motion does not tell how {contacts.names[i]} and {contacts.names[j]} share the "
+                f"load: each ± {1.645 * single:.2g} N (90 %), their sum ± {1.645 * together:.2g} N"
+            )
+    return lines
+
+
+def activation_names(model: EngineModel) -> list[str]:
+    """Of the na activations: their actuators'."""
+    compiled, names = model.scene.model, [""] * model.na
+    for a, own in enumerate(model.scene.actuator_names):
+        first, count = int(compiled.actuator_actadr[a]), int(compiled.actuator_actnum[a])
+        for k in range(count if first >= 0 else 0):
+            names[first + k] = own if count == 1 else f"{own}_{k}"
+    return names
+
+
+def _units(model: EngineModel) -> dict[str, str]:
+    slides = bool((model.scene.model.jnt_type == 2).any())
+    units = {"torque": "N·m or N" if slides else "N·m", "angle": "rad", "velocity": "rad/s", "position": "m"}
+    units |= {"truth_torque": units["torque"], "truth_angle": "rad", "truth_velocity": "rad/s"}
+    units |= {"drive": " and ".join(dict.fromkeys(model.inputs.units)), "actuator_force": "N"}
+    return units | {"contact_force": "N", "centre_of_pressure": "m"}
+
+
+def _skeleton(scene: Scene) -> list[tuple[int, int]]:
+    """Pairs of sites to draw a line between: along a body, and to the nearest one inwards that has a site."""
+    model = scene.model
+    first: dict[int, int] = {}
+    edges = []
+    for site, body in enumerate(model.site_bodyid.tolist()):
+        if body in first:
+            edges.append((first[body], site))
+            continue
+        first[body] = site
+        above = int(model.body_parentid[body])
+        while above and above not in first:
+            above = int(model.body_parentid[above])
+        if above in first and above != body:
+            edges.append((first[above], site))
+    return edges
+
+
+def _truth(scene: Scene, truth: Truth | None) -> Variables:
+    """Of the joints that a truth names; others are not known."""
+    if truth is None:
+        return {}
+    found: Variables = {}
+    for name in ("torque", "angle", "velocity"):
+        values = np.full((len(truth.time), scene.num_joints), np.nan)
+        for k, joint in enumerate(scene.joint_names):
+            if joint in truth.joint_names:
+                values[:, k] = getattr(truth, name)[:, truth.joint_names.index(joint)]
+        found[f"truth_{name}"] = (["time", "joint"], values)
+    return found
