@@ -19,11 +19,11 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from legs import KINDS, SITES, leg_recording  # noqa: E402
+from legs import KINDS, SITES, leg_recording
 
-from invdyn.inference.infer_engine import infer_engine  # noqa: E402
-from invdyn.models import Scene  # noqa: E402
-from invdyn.recordings import Recording  # noqa: E402
+from invdyn.inference.infer_engine import infer_engine
+from invdyn.models import Scene
+from invdyn.recordings import Recording
 
 ACTING = 1.0
 """N of true force from which on it acts."""

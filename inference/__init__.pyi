@@ -43,6 +43,7 @@ from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
 from .infer import infer as infer
+from .infer_engine import infer_engine as infer_engine
 from .infer_states import infer_states as infer_states
 from .kinematics import infer_kinematics as infer_kinematics
 from .kinematics import learned_lengths as learned_lengths

@@ -29,7 +29,8 @@ SIX = (
   <site name="over" pos="-.03 0 .04"/>
   <body name="upper"><joint name="shoulder" axis="0 -1 0" range="-1.5 3"/>
     <geom type="capsule" fromto="0 0 0 0 0 -.29" size=".03" mass="1.9"/>
-    <site name="front_up" pos=".025 0 -.12"/><site name="back_up" pos="-.025 0 -.12"/><site name="mid" pos=".02 0 -.15"/>
+    <site name="front_up" pos=".025 0 -.12"/><site name="back_up" pos="-.025 0 -.12"/>
+    <site name="mid" pos=".02 0 -.15"/>
     <site name="rear" pos="-.025 0 -.15"/><site name="elbow" pos="0 0 -.29"/>
     <body name="fore" pos="0 0 -.29"><joint name="elbow" axis="0 -1 0" range="-.1 2.4"/>
       <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".02" mass="1.5"/>
