@@ -88,7 +88,7 @@ def test_imports_go_one_way(room, imports):
 
 
 STAGES = {
-    "models": ["bodies", "torques", "dynamics", "observation", "effects", "articulated"],
+    "models": ["bodies", "torques", "dynamics", "observation", "effects", "articulated", "engine"],
     "inference": [
         "execution",
         "smoothing",
