@@ -10,14 +10,14 @@ were. Velocities are slopes of a smoothed path (A. Savitzky & M. J. E. Golay, An
 Shapes: rows (T, O), δ (nv,), paths (T, D).
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 import torch
+from pyro.distributions import Distribution
 from scipy.signal import savgol_filter
-
-if TYPE_CHECKING:
-    from invdyn.models.engine.model import EngineModel
+from torch import Tensor
 
 TIE = 10.0
 """s, rad or m: how far a configuration may be from that of the row before; next to nothing against what is seen."""
@@ -27,7 +27,25 @@ STARTS = 12
 WINDOW, ORDER = 9, 3
 
 
-def poses(model: "EngineModel", rows: np.ndarray) -> np.ndarray:
+class Posed(Protocol):
+    """What is asked of a model: sizes of its state (z, δ, v, a), and what its sensors show of one."""
+
+    nv: int
+    na: int
+    torque_size: int
+    state_dim: int
+    observation_dim: int
+    parameters: Mapping[str, Tensor]
+
+    @property
+    def time(self) -> Tensor:
+        """(T,) s."""
+
+    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
+        """Distribution of a row, whose location and scale are known."""
+
+
+def poses(model: Posed, rows: np.ndarray) -> np.ndarray:
     """A path (T, D) with no drive, middle activations, and the configurations and velocities that ``rows`` show."""
     nv, z = model.nv, model.torque_size
     tangent = np.zeros((len(rows), nv))
@@ -50,7 +68,7 @@ def poses(model: "EngineModel", rows: np.ndarray) -> np.ndarray:
     return path
 
 
-def _first(model: "EngineModel", row: np.ndarray) -> np.ndarray:
+def _first(model: Posed, row: np.ndarray) -> np.ndarray:
     """The best of several starts: the reference, and others around it."""
     rng = np.random.default_rng(0)
     spread = rng.uniform(-1.0, 1.0, (STARTS, model.nv))
@@ -60,7 +78,7 @@ def _first(model: "EngineModel", row: np.ndarray) -> np.ndarray:
     return found[np.flatnonzero(near)[0]]  # of equals that which is nearest to the file's own pose
 
 
-def _solved(model: "EngineModel", row: np.ndarray, start: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
+def _solved(model: Posed, row: np.ndarray, start: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     """From several starts (B, nv): where the search ends, and the merits (B,)."""
     nv, size = model.nv, model.observation_dim
     seen = np.isfinite(row)
