@@ -1,11 +1,14 @@
 """How often `invdyn check` finds a mistake in a log, and how often it finds one where there is none.
 
-    python benchmarks/check.py [--logs 20] [--clean 40] [--seed 40000] [--only zero,…] [--results FILE]
+    python benchmarks/check.py [--robots] [--logs 20] [--clean 40] [--seed 40000] [--only zero,…] [--results FILE]
 
-MuJoCo simulates random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has encoders
-(noise of .1 to 2 mrad) and the torques given to the motors. Half of all logs, and half of those that are right, are of
-an arm with an effect of the catalogue, so that a simulation which lacks something is no mistake. Arms in a horizontal
-plane have no gravity to tell a zero by, and are left out for it.
+With `--robots` the logs are those of eleven robots of two to seven joints (`check_robots.py`), read from an MJCF, a CSV
+and a map as a user's are: torque motors and servos, a passive joint, a slide, a coupled wrist, commands between rows.
+
+Else MuJoCo simulates random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has
+encoders (noise of .1 to 2 mrad) and the torques given to the motors. Half of all logs, and half of those that are
+right, are of an arm with an effect of the catalogue, so that a simulation which lacks something is no mistake. Arms in
+a horizontal plane have no gravity to tell a zero by, and are left out for it.
 """
 
 import argparse
@@ -14,6 +17,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import check_robots
 import numpy as np
 from kept import kept
 
@@ -101,9 +105,12 @@ def main() -> None:
     options.add_argument("--clean", type=int, default=40)
     options.add_argument("--seed", type=int, default=40_000)
     options.add_argument("--only", default="")
+    options.add_argument("--robots", action="store_true", help="Logs of robots' own files.")
     options.add_argument("--results", type=Path, default=None, help="Where results are kept, a line a log.")
     given = options.parse_args()
-    started, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*KINDS, "none"]
+    kinds = (*check_robots.MISTAKES,) if given.robots else KINDS
+    started, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*kinds, "none"]
+    answered = check_robots.answered if given.robots else one
     print(
         "| what is wrong | named first | or as fitting as well | s a log | what else is said |\n|---|---|---|---|---|"
     )
@@ -112,7 +119,9 @@ def main() -> None:
         spent = []
         for number in range(given.clean if kind == "none" else given.logs):
             reported_of = kept(
-                given.results, f"{given.seed} {kind} {number}", lambda k=kind, n=number: one(given.seed, k, n)
+                given.results,
+                f"{'robots ' * given.robots}{given.seed} {kind} {number}",
+                lambda k=kind, n=number: answered(given.seed, k, n),
             )
             spent.append(reported_of["seconds"])
             reported[reported_of["answer"]] += 1

@@ -4,6 +4,9 @@ A robot's file is what a log is checked against; the one that plays has other fr
 simulation has that lacks something. Each log is a CSV with a map, read as a user's is.
 """
 
+import tempfile
+import time as clock
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -313,3 +316,27 @@ ONLY: dict[str, Callable[[Robot], bool]] = {
     "wrapped": lambda robot: bool(robot.heavy),
 }
 """Of which robots a mistake can be told."""
+
+
+def answered(seed: int, kind: str, number: int) -> dict[str, Any]:
+    """What is found first in a log with a mistake of a kind, or "none": "right", or what else; and seconds of CPU."""
+    robots = [robot for robot in ROBOTS if ONLY.get(kind, lambda _: True)(robot)]
+    robot = robots[number % len(robots)]
+    log, called, joints = played(robot, seed + number), "none", None
+    if kind != "none":
+        called, spoil = MISTAKES[kind]
+        log, joints = spoil(np.random.default_rng([seed, number]), robot, log)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        start = clock.process_time()
+        found = checked(robot, log, Path(folder))
+        seconds = clock.process_time() - start
+    first = found.mistakes[0] if found.mistakes else None
+    said = "none" if first is None else first.kind
+    # numbers within a hundred are said to be degrees or shares of a range, unless torques tell which
+    said = "degrees" if first is not None and said == "percent" and "degrees" in first.sentence else said
+    right = said == called and (
+        joints is None or first is None or first.joints == tuple(robot.joints[k] for k in joints)
+    )
+    answer = "right" if right else f"{said}{' (unclear)' * found.unclear} of {robot.name}"
+    return {"answer": answer, "joints": len(robot.axes), "seconds": seconds}

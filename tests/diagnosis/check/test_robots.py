@@ -1,0 +1,20 @@
+"""A slice of `benchmarks/check.py --robots`: logs of robots' own files, right or with one mistake."""
+
+import pytest
+from pages import script
+
+ROBOTS = script("benchmarks/check_robots.py")
+SEED = 9000
+CLEAN = {robot.name: number for number, robot in enumerate(ROBOTS.ROBOTS)}
+
+
+@pytest.mark.quick("arm6", "servo3", "pendubot")
+@pytest.mark.parametrize("name", CLEAN)
+def test_a_right_log_is_accused_of_nothing(name):
+    assert ROBOTS.answered(SEED, "none", CLEAN[name])["answer"] == "right"
+
+
+@pytest.mark.quick("drift", "stray", "gear")
+@pytest.mark.parametrize("kind", ROBOTS.MISTAKES)
+def test_a_mistake_is_named_first(kind):
+    assert ROBOTS.answered(SEED, kind, 0)["answer"] == "right"
