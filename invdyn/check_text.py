@@ -16,7 +16,7 @@ def check_text(found: Check) -> str:
     lines = [f"wrong      {wrong.sentence}" for wrong in found.mistakes]
     if found.unclear:
         lines = ["unclear    the torques are far from the motion, and no sign, zero, unit, column or gear explains it"]
-        if found.nearest is not None:
+        if found.nearest is not None and found.nearest.after < found.rules.check.max_right_misfit:
             lines.append(f"nearest    {found.nearest.sentence}")
     elif not lines:
         lines = ["right      nothing looks wrong" + (" in what could be looked at" if found.not_looked_at else "")]

@@ -1,5 +1,6 @@
 """A robot's own log, an episode each, as recordings of a body: angles and commands as its file counts them."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -39,12 +40,13 @@ def read_logs(
         with about(str(mapping)):
             given.check_kinds(slides(body))
 
+    maps = tuple(given.joints.get(name, JointMap()) for name in body.joint_names) if given else ()
+
     def read(**scales: float) -> list[Recording]:
         found = recordings_of(name, body.joint_names, given, episodes, **scales)
-        return [_in_the_bodys_terms(logged, body).at(frame_range(frames)) for logged in found]
+        return [_in_the_bodys_terms(logged, body, maps).at(frame_range(frames)) for logged in found]
 
     units = (given or LogMap()).units
-    maps = tuple(given.joints.get(name, JointMap()) for name in body.joint_names) if given else ()
     targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
     return [
         Reading(recording, units, lambda n=n, **scales: read(**scales)[n], targets, maps)
@@ -73,21 +75,34 @@ def episode_numbers(text: str) -> list[int]:
         raise InputError(f"episodes are a list of numbers, such as 0,1, got {text!r}") from None
 
 
-def _in_the_bodys_terms(logged: Logged, body: Body) -> Recording:
+def _in_the_bodys_terms(logged: Logged, body: Body, maps: Sequence[JointMap] = ()) -> Recording:
     recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
     parts = [own or NOTHING for own in body.joint_parts]
     sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])
     if recording.torques is not None:
         commands = sign * recording.torques
     for k, (joint, own) in enumerate(zip(body.joint_names, parts, strict=True)):
-        target = logged.targets[:, k]
+        target, torque = logged.targets[:, k], maps[k].torque if maps else None
+        added = torque is not None and torque.feedforward
         if not np.isfinite(target).any():
+            if own.servo is not None and not added and np.isfinite(commands[:, k]).any():
+                raise InputError(
+                    f"{recording.name}: a torque of joint {joint!r}, which has a servo in the robot's file: map the "
+                    "servo's target; or, if the joint is driven by torque, write <motor> for its <position>"
+                )
             continue
         if own.servo is None:
             raise InputError(
                 f"{recording.name}: targets of joint {joint!r}, which has no servo in the robot's file: give it one "
                 '(<position> in MJCF, motor = {kind = "position", …} in TOML), or its torques'
             )
-        commands[:, k] = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
+        asked = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
+        if torque is not None and not added:
+            warnings.warn(
+                f"{recording.name}: the torque of joint {joint!r} is not used, as its servo has a target: if it is "
+                "added to the servo's, write feedforward = true in its line of the map",
+                stacklevel=2,
+            )
+        commands[:, k] = asked + (commands[:, k] if added else 0.0)
     angles = None if recording.angles is None else zero + sign * recording.angles
     return replace(recording, angles=angles, torques=commands if np.isfinite(commands).any() else None)

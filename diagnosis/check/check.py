@@ -223,7 +223,9 @@ def _motion(reading: Reading, fit: TorqueFit, rules: Rules) -> Motion | None:
     plain = [fit.explain(each).misfit for each in few]
     if min(plain) <= rules.check.min_misfit:  # nothing is wrong
         return every[int(np.argmin(plain))]
-    known = [*fixed(body.num_joints, encoders), *(units() if encoders else ())]
+    # angles or commands alone are exchanged more rarely, and no window tells these from whole columns
+    known = [each for each in fixed(body.num_joints, encoders) if each.kind != "exchanged" or "columns" in each.words]
+    known += units() if encoders else ()
     if reading.units.mapping is not None and (terms := every[0].terms) is not None:
         known += gears(terms, reading.units.mapping, rules)
 

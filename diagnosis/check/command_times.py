@@ -45,7 +45,7 @@ def late_commands(
 ) -> LateCommands | None:
     """What the torques of a ``motion`` say of the times of its ``commands`` (T, K); None of nothing wrong."""
     limits, own = rules.check, fit.explain(motion)
-    if not own.misfit > limits.min_misfit:
+    if not own.misfit > limits.min_misfit or own.by_joint.max() <= limits.max_joint_misfit:
         return None
     step, joints = float(np.median(np.diff(time))), motion.q.shape[1]
 
@@ -53,9 +53,11 @@ def late_commands(
         return fit.explain(motion.recommanded(shifted(time, commands, delay, group)).thinned(limits.scan_rows)).misfit
 
     # a servo's torque is sharp in time: all rows are tried of all joints, few of one
-    every = _both_ways(range(1, limits.delay_grid[-1] + 1), step, time)
     few = _both_ways(limits.delay_grid, step, time)
-    groups: list[tuple[int, ...]] = [(), *((k,) for k in range(joints) if joints > 1)]
+    sharp = motion.terms is not None and any(motion.terms.by_target)
+    every = _both_ways(range(1, limits.delay_grid[-1] + 1), step, time) if sharp else few
+    missing = [(k,) for k in range(joints) if joints > 1 and own.by_joint[k] > limits.max_joint_misfit]
+    groups: list[tuple[int, ...]] = [(), *missing]
     best: tuple[float, tuple[int, ...], float] = (math.inf, (), 0.0)
     for group in groups:
         for delay in few if group else every:

@@ -6,6 +6,7 @@
     angle  = {track = "q2", unit = "deg", sign = -1, zero = 0.5}     # rad = zero + sign · value · unit; m of a slide
     torque = {track = "i2", gear = 50, constant = 0.12, sign = -1}   # N·m = sign · gear · constant · value
     target = {track = "action.2", unit = "deg", gear = 3}            # of a servo: an angle, or a velocity
+                                     # feedforward = true in the line of a torque: it is added to the servo's
     [joints.hand]
     angle  = {track = "h", range = [0, 0.8], ends = [0, 100]}        # rad where the log has 0, and where it has 100
 
@@ -47,7 +48,7 @@ BY_NAME = {"angle": "position", "torque": "effort"}
 KEYS = {
     "angle": ("track", "unit", "sign", "zero", "gear", "range", "ends", "wrap"),
     "target": ("track", "unit", "sign", "zero", "gear", "range", "ends", "wrap"),
-    "torque": ("track", "unit", "sign", "gear", "constant", "offset"),
+    "torque": ("track", "unit", "sign", "gear", "constant", "offset", "feedforward"),
 }
 
 
@@ -56,7 +57,8 @@ class Source:
     """A track and what makes SI units of its values: (value − origin) · factor + offset.
 
     `unit` is the declared one, if any. `gear` is part of the factor already; `ranged`: a range is as well. The track's
-    values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before.
+    values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before. `feedforward`:
+    a torque that a controller adds to its servo's.
     """
 
     track: str
@@ -67,6 +69,7 @@ class Source:
     gear: float = 1.0
     ranged: bool = False
     wrap: float = 0.0
+    feedforward: bool = False
 
     def of(self, episode: Episode, where: str) -> Track:
         """The track in SI units. Raises InputError where the log has none of that name, or without times."""
@@ -227,9 +230,11 @@ def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
         raise InputError(
             f"{where}: expected wrap as the positive number at which the angle starts again, got {wrap!r:.40}"
         )
+    if not isinstance(forward := table.get("feedforward", False), bool):
+        raise InputError(f"{where}: expected feedforward as true or false, got {forward!r:.40}")
     zero = float(numbers.get("zero", numbers.get("offset", 0.0)))
     ranged = "range" in table
-    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, ranged, float(wrap))
+    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, ranged, float(wrap), forward)
 
 
 def _of_range(table: dict[str, Any], where: str, folder: Path) -> tuple[float, float]:

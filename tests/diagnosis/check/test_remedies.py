@@ -12,7 +12,7 @@ from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.inputs import read_logs
 from invdyn.models.bodies.joint_parts import JointParts
-from invdyn.recordings import write_table
+from invdyn.recordings import InputError, write_table
 from invdyn.recordings.tables import read_table
 
 GEAR = -3.0
@@ -186,3 +186,26 @@ def test_what_is_missed_is_stated_in_terms_of_what_the_motion_asks(factor, least
     assert (wrong.kind, wrong.joints) == ("scale", ("shoulder",))
     assert least < wrong.before < most
     assert wrong.after < DEFAULT.check.max_joint_misfit
+
+
+def of_servo(folder: Path, shoulder: str):
+    """The reading of a log whose shoulder, which has a servo, takes these commands."""
+    lines = (
+        f'[joints.shoulder]\nangle = {{track = "q1", unit = "deg"}}\n{shoulder}\n'
+        '[joints.elbow]\nangle = {track = "q2", unit = "deg"}\ntorque = "tau2"\n'
+    )
+    log = written(folder, lines)
+    (reading,) = read_logs(log, SERVO_ARM, str(folder / "map.toml"))
+    return reading.recording.torques[:, 0]
+
+
+def test_a_torque_of_a_servo_is_asked_about_and_never_taken_for_a_feed_forward(tmp_path):
+    target = 'target = {track = "target1", unit = "deg"}'
+    with pytest.raises(InputError, match=r"a torque of joint 'shoulder', which has a servo .*: map the servo's target"):
+        of_servo(tmp_path, 'torque = "tau2"')
+    with pytest.warns(UserWarning, match="the torque of joint 'shoulder' is not used"):
+        plain = of_servo(tmp_path, f'{target}\ntorque = "tau2"')
+    np.testing.assert_array_equal(plain, of_servo(tmp_path, target))
+    added = of_servo(tmp_path, f'{target}\ntorque = {{track = "tau2", feedforward = true, sign = -1}}')
+    columns, _ = read_table(tmp_path / "log.csv")
+    np.testing.assert_allclose(added, plain - columns["tau2"])
