@@ -17,6 +17,7 @@ from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free, fit
 from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.posterior.base_motion import hold_base
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel
 from invdyn.models.articulated.defaults import Value
@@ -73,6 +74,8 @@ def infer_kinematics(
         )
     options = SMCOptions(num_filters, num_particles, num_draws)
     options.check()
+    # What no dynamics has to explain may be taken away.
+    recording = hold_base(recording, body).at_rest
     problem = arm_problem(
         recording, body, family=family, substeps=1, learn_lengths=learn_lengths, hide_torque=True, truth=truth
     )

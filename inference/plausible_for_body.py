@@ -101,10 +101,21 @@ def rigid_distances(body: Body) -> dict[tuple[str, str], float]:
 
 def distances_of_base(body: Body) -> dict[tuple[str, str], float]:
     """Distances, m, from the first joint's place to the sites that keep it."""
+    if body.is_chain:
+        return {(BASE, body.keypoint_names[0]): body.links[0].nominal("length")}
     apart = (_posed(body) - body.parameters().position[0]).norm(dim=-1).numpy()
     kept = np.ptp(apart, axis=0) <= ROUNDING * apart.max()
     places = zip(body.keypoint_names, kept & (apart[0] > ROUNDING * apart.max()), apart[0], strict=True)
     return {(BASE, name): float(length) for name, known, length in places if known}
+
+
+def site_at_base(body: Body) -> str | None:
+    """Name of a site of a tree that stays at the first joint's place, if there is one."""
+    if body.is_chain or not body.keypoint_names or not rooted(body):
+        return None
+    apart = (_posed(body) - body.parameters().position[0]).norm(dim=-1)
+    here = (apart <= ROUNDING * apart.max()).all(0).tolist()
+    return next((name for name, at_base in zip(body.keypoint_names, here, strict=True) if at_base), None)
 
 
 def _posed(body: Body) -> torch.Tensor:

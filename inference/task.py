@@ -44,6 +44,9 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
         Free("torque.rough_scale", tied=True),
         Free("torque.rough_decay", tied=True, sd=1.0),
+        # Axes differ as their tracks do at the start.
+        Free("base.scale", tied=True),
+        Free("base.lengthscale", tied=True, sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]
@@ -161,7 +164,7 @@ def prepare(
             truth=truth,
             learn_lengths=learn_lengths,
             torque=process,
-            **binding,
+            **{"moving_base": True, **binding},
         )
         for process in (torque if isinstance(torque, Sequence) else (torque,))
     ]

@@ -155,7 +155,9 @@ def arm_points(idata: az.InferenceData) -> np.ndarray:
     sites = pooled(idata)["position"].transpose("sample", "time", "keypoint", "space").values
     if sites.shape[-1] not in VIEWS:
         raise InputError(f"a film shows a motion in the plane or in space, not in {sites.shape[-1]} dimensions")
-    base = idata["constant_data"].get("base", np.zeros(sites.shape[-1]))
+    base = np.asarray(idata["constant_data"].get("base", np.zeros(sites.shape[-1])))
+    if "base_position" in idata["posterior"]:
+        base = pooled(idata)["base_position"].transpose("sample", "time", "space").values[:, :, None]
     return np.concatenate([np.broadcast_to(base, (*sites.shape[:2], 1, sites.shape[-1])), sites], axis=2)
 
 

@@ -31,6 +31,7 @@ def read_film(
     guessed: bool = False,
     scale: float | str | None = None,
     base: str | None = None,
+    as_filmed: bool = False,
 ) -> list[Reading]:
     """Track a film into the file ``tracks``, and read that.
 
@@ -59,7 +60,7 @@ def read_film(
     kept = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.tracking")
     track_into(tracks, film, tracker, person, kept, progress, (root, *body.keypoint_names))
     (reading,) = read_table(
-        [str(tracks)], body, units="px", scale=scale, base=base, frames=frames, guessed=guessed, as_filmed=True
+        [str(tracks)], body, units="px", scale=scale, base=base, frames=frames, guessed=guessed, as_filmed=as_filmed
     )
     return [Reading(reading.recording, reading.units, film=TrackedFilm(Path(name), tracks, root))]
 

@@ -1,11 +1,12 @@
 """What was inferred, laid over the film that it was inferred from.
 
-A recording's metres come from the film's pixels by one scale s and, where the base is tracked, one origin b a picture:
+A recording's metres come from the film's pixels by one scale s and an origin c of each picture, which is always the
+same but where keypoints are taken relative to a base:
 
-    pixel(t) = b(t) + c + s (x, −y)
+    pixel(t) = c(t) + s (x, −y)
 
-with c the base's own place. Both s and c are found again by least squares between tracks and observed positions, so
-that nothing but these two files need be known.
+Both are found again by least squares between tracks and observed positions, so that nothing but these two files need be
+known.
 """
 
 from collections.abc import Iterator
@@ -26,35 +27,37 @@ class Overlay:
     Args:
         film: the film.
         tracks: its keypoints, px, v down, one row a picture.
-        base: name of the keypoint that was subtracted, if it is tracked.
         idata: what was inferred, (T,) rows of it.
 
     Raises InputError where positions and tracks have nothing in common.
     """
 
-    def __init__(self, film: Film, tracks: Recording, base: str, idata: az.InferenceData):
+    def __init__(self, film: Film, tracks: Recording, idata: az.InferenceData):
         self.film = film
         self.size = film.height, film.width
         time = idata["posterior"]["time"].values
         self._numbers = np.abs(time[:, None] - tracks.time).argmin(1)
-        origin = np.zeros((len(time), 2))
-        if base in tracks.keypoint_names:
-            origin = tracks.keypoint(base)[self._numbers]
         seen = idata["observed_data"]["position"].transpose("time", "keypoint", "space")
         tips = [str(name) for name in seen["keypoint"].values]
-        pixels = np.stack([tracks.keypoint(tip)[self._numbers] for tip in tips], 1) - origin[:, None]
+        pixels = np.stack([tracks.keypoint(tip)[self._numbers] for tip in tips], 1)
         x = seen.values * [1.0, -1.0]
         known = np.isfinite(pixels).all(-1) & np.isfinite(x).all(-1)
         if known.sum() < 2:
             raise InputError(f"{film.path}: its tracks and what was inferred share no two points")
-        middle, centre = x[known].mean(0), pixels[known].mean(0)
-        self.scale = float(((x[known] - middle) * (pixels[known] - centre)).sum() / ((x[known] - middle) ** 2).sum())
-        self._origin = _filled(origin) + centre - self.scale * middle
+        each = known[..., None].astype(float)
+        count = each.sum(1)
+        several = (count > 1).any()
+        middle, centre = (np.where(each > 0, v, 0.0).sum(1) / np.maximum(count, 1.0) for v in (x, pixels))
+        if not several:  # one point a picture: its scale is that of the track
+            middle, centre = (np.broadcast_to(v[known].mean(0), (len(time), 2)) for v in (x, pixels))
+        off, seen_off = ((v - m[:, None])[known] for v, m in ((x, middle), (pixels, centre)))
+        self.scale = float((off * seen_off).sum() / (off**2).sum())
+        self._origin = _filled(np.where(count > 0, centre - self.scale * middle, np.nan))
 
     @classmethod
     def of(cls, tracked: TrackedFilm, idata: az.InferenceData) -> "Overlay":
         """Over the film that was tracked."""
-        return cls(Film(tracked.path), read_keypoint_csv(tracked.tracks), tracked.base, idata)
+        return cls(Film(tracked.path), read_keypoint_csv(tracked.tracks), idata)
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Points (…, T, P, 2) m, y up, in px, v down."""

@@ -94,7 +94,7 @@ def summary_text(idata: az.InferenceData) -> str:
         best = max(torques, key=torques.get)
         others = " and ".join(f"{name} {torques[best] - torques[name]:.1f} nat" for name in torques if name != best)
         lines.append(f"torque process {best}, by evidence; behind it {others}")
-    notes = ("body_doubt", "engine", "charts", "unseen", "hidden")
+    notes = ("body_doubt", "engine", "charts", "unseen", "hidden", "base")
     lines += [str(idata.attrs[note]) for note in notes if note in idata.attrs]
     return "\n".join(lines + settings.get("in_doubt", []) + _too_few(idata))
 

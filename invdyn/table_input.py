@@ -2,10 +2,12 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from invdyn.inference.plausible_for_body import check_fits, rooted, slides
+from invdyn.inference.plausible_for_body import check_fits, rooted, site_at_base, slides
+from invdyn.inference.posterior.base_motion import base_motion
 from invdyn.models import Body, dynamics_for
 from invdyn.recordings import FORMATS, InputError, Recording, bridged, in_body_lengths, load, parse_units
 from invdyn.recordings.errors import about
@@ -42,15 +44,15 @@ def read_table(
         files: one file, or the name of a known recording.
         body: says which keypoints and joints, and their order.
         frames: which rows, such as "50:250"; long gaps in them are bridged (:mod:`invdyn.recordings.pace`).
-        as_filmed: leave keypoints as they are, if the file is in metres and ``base`` is not given. Subtracting the
-            base would hide a tilted camera, and add the base's noise to all keypoints.
+        as_filmed: for a diagnosis, which takes the base to be at rest. Keypoints are left as they are, if the file is
+            in metres and ``base`` is not given; a base that moves is else taken away, row by row. A warning says so.
         as_it_stands: check nothing, leave nothing out, and take numbers without ``units`` to be SI.
         guessed: the body's lengths are, and will be learned.
         units, fps, format, individual: as of :func:`invdyn.recordings.load`.
         scale: metres a pixel; "body", in the plane alone, for that of the body's own length. The base must then be
             tracked. A warning says so unless the body is in body lengths itself.
         base: the keypoint at the first joint; in the plane by default the one with the joint's name. Where the file
-            has it, all others are taken relative to it, and moved to the body's own base.
+            has it, all are moved by one constant, to the body's own base, and it is kept under the joint's name.
         plane: two of the file's axes; by default a constant third coordinate is left out for a body in the plane.
 
     Raises:
@@ -75,7 +77,14 @@ def read_table(
     read = _in_plane if body.dimensions == 2 else _in_space
     recording, length = read(name, body, base, unscaled, as_filmed, options)
     with about(name):
-        check_fits(recording, body, stated, guessed or unscaled)
+        known = (body.base_keypoint, base, site_at_base(body))
+        own, steady = next((each for each in known if each in recording.keypoint_names), None), recording
+        if own is not None:
+            steady = recording.relative_to(own).moved(body.base)
+            steady = steady.with_keypoints([each for each in steady.keypoint_names if each in body.keypoint_names])
+        check_fits(steady, body, stated, guessed or unscaled)
+        if as_filmed and own is not None:
+            recording = _for_diagnosis(name, recording, steady, own)
         first = rows.indices(recording.num_frames)[0]
         return [Reading(bridged(recording.at(rows), length, first), stated)]
 
@@ -96,16 +105,18 @@ def _in_plane(
     in_frame = as_filmed and not stated and _is_own(name, options.get("format"))
     base, tips = base or body.joint_names[0], body.keypoint_names
     if in_frame:
-        recording = load(name, **options)
+        whole = recording = load(name, **options)
         known = (base, *tips)
         if strange := [point for point in recording.keypoint_names if point not in known]:
             raise _not_of_the_body(
                 name, strange[0], known, [tip for tip in known if tip not in recording.keypoint_names]
             )
         recording = recording.with_keypoints([tip for tip in tips if tip in recording.keypoint_names])
+        if base in whole.keypoint_names:
+            _said_to_move(name, whole, base)
     elif unscaled:
         recording = load(name, keypoints=(base, *tips), base=base, **options)
-        recording = in_body_lengths(recording, length=total).with_keypoints(tips)
+        recording = in_body_lengths(recording, length=total)
         if recording.length_unit == "m":
             warnings.warn(
                 f"{name}: no scale is known: keypoints are scaled so that the tracked arm is as long as the "
@@ -114,8 +125,8 @@ def _in_plane(
             )
     else:
         recording = load(name, keypoints=tips, base=base, **options)
-    if not in_frame and any(body.base) and base in load(name, **options).keypoint_names:
-        recording = recording.moved(body.base)
+    if not in_frame:
+        recording = _on_body(recording, body, base)
     if recording.length_unit == "px":
         raise InputError(
             f"{name}: keypoints are in px, the body is not: pass --scale with metres a pixel, or --scale body"
@@ -148,17 +159,44 @@ def _in_space(
     if strange and (own_file or len(strange) == len(points)):
         hint = "" if base else f", or pass --base {strange[0]} if it is the first joint's own track"
         raise _not_of_the_body(name, strange[0], sites, [site for site in sites if site not in points], hint)
-    if base not in points and points and not own_file and rooted(body):
+    tracked = {base, site_at_base(body)} & {*points}
+    if not tracked and points and not own_file and rooted(body):
         warnings.warn(
             f"{name}: no base is tracked (the file has {', '.join(points)}), so it is taken to rest where the body's "
             "is, in the file's own frame; pass --base with the keypoint at the first joint if there is one",
             stacklevel=2,
         )
     numbers = body.parameters()
-    recording = recording.with_keypoints([point for point in points if point in sites])
-    if base in points:
-        recording = recording.moved(numbers.position[0].tolist())
+    recording = recording.with_keypoints([point for point in points if point in sites or point == base])
+    recording = _on_body(recording, body, base)
     return recording, dynamics_for(body).reach(numbers).item()
+
+
+def _on_body(recording: Recording, body: Any, base: str | None) -> Recording:
+    """The recording moved to the body's own base, whose keypoint then has the body's name for it."""
+    if base not in recording.keypoint_names:
+        return recording
+    own = base if base in body.keypoint_names or body.base_keypoint is None else body.base_keypoint
+    names = tuple(own if point == base else point for point in recording.keypoint_names)
+    return replace(recording, keypoint_names=names).moved(body.base)
+
+
+def _for_diagnosis(name: str, recording: Recording, steady: Recording, base: str) -> Recording:
+    """The recording without its base's keypoint; less its track, row by row, where that moves."""
+    return steady if _said_to_move(name, recording, base) else recording.with_keypoints(steady.keypoint_names)
+
+
+def _said_to_move(name: str, recording: Recording, base: str) -> bool:
+    """Whether the base moves, which a warning then says."""
+    found = base_motion(recording.time, recording.keypoint(base))
+    if found.moves:
+        warnings.warn(
+            f"{name}: the base {base!r} moves, by {found.displacement:.2g} {recording.length_unit} and with "
+            f"{found.acceleration:.2g} {recording.length_unit}/s² (rms), and a diagnosis takes it to be at rest: what "
+            "it finds may be that motion. `invdyn infer` has a base that moves in its model",
+            stacklevel=5,
+        )
+    return found.moves
 
 
 def _is_own(name: str, format: str | None) -> bool:

@@ -47,8 +47,9 @@ def load(
             CSV may hold no others; other files may.
         joints: likewise, of angles and commands.
         format: a key of `formats.FORMATS`; by default it is recognised.
-        base: the keypoint at the first joint. Where the file has it, all others are taken relative to it,
-            frame by frame, and it is dropped if `keypoints` leaves it out. A fixed base need not be tracked.
+        base: the keypoint at the first joint. Where the file has it, all are moved by one constant, so that the
+            middle of its track is the origin, and it is kept, as the first one if `keypoints` leaves it out. A base
+            that stands still need not be tracked.
         scale: metres a pixel; without it, pixels stay pixels (`length_unit` "px", y up).
         individual: which animal, in files of several.
         plane: two of the file's axes, such as "xz", of three coordinates; "flat" for those that are left without a
@@ -174,11 +175,13 @@ def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_f
 def _keep(
     recording: Recording, keypoints: Sequence[str] | None, joints: Sequence[str] | None, base: str | None
 ) -> Recording:
-    """Take the base away, then the named keypoints and joints in their order."""
-    if base in recording.keypoint_names:
-        recording = recording.relative_to(base)
+    """The recording about its base, with the named keypoints and joints in their order."""
+    if base is not None and base in recording.keypoint_names and np.isfinite(recording.keypoint(base)).any():
+        recording = recording.about(base)
     if keypoints is not None and recording.keypoint_names:
         _check_names("keypoint", keypoints, recording.keypoint_names)
+        if base is not None and base in recording.keypoint_names and base not in keypoints:
+            keypoints = (base, *keypoints)
         recording = recording.with_keypoints(keypoints)
     if joints is not None and recording.joint_names:
         _check_names("joint", joints, recording.joint_names)

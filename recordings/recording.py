@@ -156,8 +156,15 @@ class Recording:
         return replace(self, **chosen)
 
     def relative_to(self, keypoint: str) -> "Recording":
-        """Every keypoint less that one's track, frame by frame; where it is missing, all are."""
+        """Every keypoint less that one's track, frame by frame; where it is missing, all are.
+
+        It hides how that one moves, and all get its noise.
+        """
         return replace(self, keypoints=self.keypoints - self.keypoint(keypoint)[:, None])
+
+    def about(self, keypoint: str) -> "Recording":
+        """Every keypoint less the middle, axis by axis the median, of that one's track; raises as `keypoint` does."""
+        return self.moved(-np.nanmedian(self.keypoint(keypoint), axis=0))
 
     def with_keypoints(self, names: Sequence[str]) -> "Recording":
         """Those keypoints alone, in that order. Raises ValueError for a name that it does not have."""

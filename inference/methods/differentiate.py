@@ -28,7 +28,7 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import ArmModel, Body, BodyParameters, Observation
-from invdyn.models.articulated.start import joint_angle_sd
+from invdyn.models.articulated.start import base_path, joint_angle_sd, on_base_at_rest
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.inverse_kinematics import row_poses
 from invdyn.models.kinematics import joint_angle_candidates, link_angles, within_half_a_turn
@@ -172,11 +172,13 @@ def differentiate(
     that is neither a chain in the plane nor a tree in space.
     """
     model, time = problem.model.to(dtype=torch.float64), problem.recording.time
-    body = model.body_parameters()
+    body, rows, base = model.body_parameters(), problem.observations, base_path(model, problem.observations)
+    if base is not None:
+        rows = on_base_at_rest(model.observation, rows, base[:, : model.body.dimensions])
     if model.body.is_chain:
-        angle, gap = joint_angles(time, problem.observations, model.observation, body)
+        angle, gap = joint_angles(time, rows, model.observation, body)
     elif isinstance(model.body, Body):
-        angle, gap = tree_angles(model, model.body, problem.observations)
+        angle, gap = tree_angles(model, model.body, rows)
     else:
         raise InputError(
             f"filter-and-differentiate reads angles of a chain in the plane or a tree in space, got body "
@@ -189,7 +191,11 @@ def differentiate(
     torque = torch.as_tensor(inverse_dynamics(model.dynamics, q, qd, qdd, body))
     if model.command is not None:
         torque = torque - model.command
-    path = torch.cat([model.torque.path(torque, model.time), torch.as_tensor(q), torch.as_tensor(qd)], -1)
+    z = [model.torque.path(torque, model.time)]
+    if model.base is not None and base is not None:
+        load = model.dynamics.uniform_load(torch.as_tensor(q), model.base.parted(base)[2], body)
+        z = [model.torque.path(torque - load, model.time), base]
+    path = torch.cat([*z, torch.as_tensor(q), torch.as_tensor(qd)], -1)
     if progress is not None:
         progress(1, 1, "differentiate")
     with seeded(seed):

@@ -2,7 +2,8 @@
 
 posterior             torque [chain, draw, time, joint] N·m (not of a kinematic model), angle rad, velocity rad/s,
                       position [chain, draw, time, keypoint, space] of the tips;
-                      residual_torque if commanded
+                      residual_torque if commanded; of a base that moves base_position, base_velocity and
+                      base_acceleration [chain, draw, time, space]
 posterior_predictive  position and angle with observation noise
 observed_data         position [time, keypoint, space], angle [time, joint]
 constant_data         the model's parameters, command, truth; in space smallest_singular_value [time] of the
@@ -21,6 +22,7 @@ from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
 from invdyn.inference.posterior.visibility import unseen_lines, visibility
 from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
+from invdyn.models.observation.base_point import first_joint
 from invdyn.recordings import Recording, Truth
 
 
@@ -48,14 +50,19 @@ def arm_contents(
     joints = [*DRAWS, "time", "joint"]
 
     _, angle, velocity = model.split(paths)
-    tips = model.dynamics.keypoints(angle, model.body_parameters())
     dynamic = isinstance(model, ArmModel)
+    moved = model.base_motion(paths) if dynamic else None
+    tips = model.sites(paths) if dynamic else model.dynamics.keypoints(angle, model.body_parameters())
     posterior: Variables = {"torque": (joints, model.net_torque(paths))} if dynamic else {}
     posterior |= {
         "angle": (joints, angle),
         "velocity": (joints, velocity),
         "position": ([*DRAWS, "time", "keypoint", "space"], tips),
     }
+    if moved is not None:
+        place = first_joint(model.body_parameters())
+        carried = {"base_position": place + moved[0], "base_velocity": moved[1], "base_acceleration": moved[2]}
+        posterior |= {name: ([*DRAWS, "time", "space"], value) for name, value in carried.items()}
     if dynamic and model.command is not None:
         posterior["residual_torque"] = (joints, paths[..., : body.num_joints])
 
@@ -100,7 +107,8 @@ def _units(length: str) -> dict[str, str]:
     units = {"angle": "rad", "velocity": "rad/s", "position": length, "length": length, "mass": "kg"}
     units |= dict.fromkeys(("torque", "residual_torque", "command", "truth_torque"), torque)
     units |= {"truth_angle": "rad", "truth_velocity": "rad/s", "com": length}
-    units |= dict.fromkeys(("base", "origin", "sites"), length)
+    units |= dict.fromkeys(("base", "origin", "sites", "base_position"), length)
+    units |= {"base_velocity": f"{length}/s", "base_acceleration": f"{length}/s²"}
     units |= {"gravity": f"{length}/s²", "smallest_singular_value": f"{length}/rad"}
     return units | {"inertia": f"kg·({length})²" if length != "m" else "kg·m²"}
 

@@ -176,4 +176,4 @@ def _with(way: dict[int, int], model: ArmModel, path: Tensor, gap: tuple[int, in
         turns[link] += n
         turns[link + 1] -= n  # the joint beyond makes up for it: that link stays as it is
     more = 2 * math.pi * (share**2 * (3 - 2 * share)).unsqueeze(-1) * turns[:-1]
-    return path_through(model, angle + more)
+    return path_through(model, angle + more, like=path)

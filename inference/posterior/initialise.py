@@ -2,6 +2,7 @@
 
 * first-frame angles at maximum likelihood (inverse kinematics), with a weak Gaussian around them;
 * link lengths from the median distance between joints, when they are to be learned (:mod:`.lengths`);
+* whether the base moves, and how, from its own track (:mod:`.base_motion`);
 * the keypoints' noise from what a smooth motion cannot explain (:mod:`.jitter`);
 * integrator sub-steps from the integrator's own error. An error that is not far below the noise would be taken for
   physics.
@@ -19,6 +20,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.posterior.arm_contents import arm_contents
+from invdyn.inference.posterior.base_motion import Base, hold_base
 from invdyn.inference.posterior.body_doubt import is_doubted, with_doubted_body
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, poles
@@ -37,8 +39,10 @@ from invdyn.models import (
     dynamics_for,
 )
 from invdyn.models.articulated.defaults import WrongValue
-from invdyn.models.articulated.start import joint_angle_sd
+from invdyn.models.articulated.moving_base import MovingBase
+from invdyn.models.articulated.start import joint_angle_sd, on_base_at_rest
 from invdyn.models.kinematics import joint_angle_candidates
+from invdyn.models.observation.base_point import BasePoint
 from invdyn.models.observation.pixels import DEFAULT_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
@@ -59,6 +63,7 @@ class Problem(StateSpaceProblem):
         recording: where they come from.
         truth: torques to compare with, or None.
         notes: what was decided on the way that a reader of the result must know.
+        base: what was decided of the base, in a line; empty where nothing was looked at.
         origin: the recording's time, s, at which the model's is 0. Single precision tells no two rows apart in
             seconds since 1970.
         doubted: whether torques are those of bodies that may differ from the file (:mod:`.body_doubt`).
@@ -70,6 +75,7 @@ class Problem(StateSpaceProblem):
     notes: tuple[str, ...] = ()
     origin: float = 0.0
     doubted: bool = False
+    base: str = ""
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -84,6 +90,7 @@ class Problem(StateSpaceProblem):
         """Return torques, angles, velocities and keypoints, by name."""
         model = self.model.to(dtype=torch.float64)
         found = arm_contents(model, self.observations, self.recording, self.truth, self.notes, paths, rows)
+        found.attributes.update({"base": self.base} if self.base else {})
         return with_doubted_body(found, model, paths) if self.doubted and "torque" in found.posterior else found
 
 
@@ -102,6 +109,7 @@ def arm_problem(
     truth: Truth | None = None,
     learn_cameras: Sequence[str] = (),
     origin: float | None = None,
+    moving_base: bool = False,
 ) -> Problem:
     """Bind a body to a recording.
 
@@ -119,6 +127,7 @@ def arm_problem(
         learn_cameras: what of a film's cameras is not known: "offset" and "pose" of all but the first, or, instead of
             poses, "turn", how each is rotated about its place.
         origin: see :class:`Problem`; by default the time of the first row.
+        moving_base: let the base move as its track says, where the recording has one that moves; else it is at rest.
 
     Raises InputError when the recording does not fit the body.
     """
@@ -130,7 +139,9 @@ def arm_problem(
         raise InputError(f"{recording.name} is no film of several cameras, of which something could be learned")
     origin = float(recording.time[0]) if origin is None else origin
     time = recording.time - origin
-    sites = _sites(recording, body)
+    held = hold_base(recording, body) if moving_base else Base(recording)
+    recording, motion = held.recording, held.motion
+    sites = [(p, site) for p, site in _sites(recording, body) if recording.keypoint_names[p] != held.apart]
     joints = body.num_joints
     angles = _in_order(recording, body, recording.angles, "angles")
     command = None if hide_torque else _in_order(recording, body, recording.torques, "commanded torques")
@@ -147,6 +158,8 @@ def arm_problem(
     else:
         columns = [recording.keypoints[:, p] for p, _ in sites]
     rows = [np.concatenate(columns, axis=1)] if columns else []
+    if held.apart is not None:
+        rows.append(recording.keypoint(held.apart))
     if angles is not None:
         rows.append(angles)
     if not rows:
@@ -164,18 +177,21 @@ def arm_problem(
     sensors: list[Sensor] = [Keypoints([site for _, site in sites], confidence)] if sites else []
     if isinstance(recording, Filmed) and sites:
         sensors = [pixels_of(recording, sites, tuple(learn_cameras))]
+    sensors += [] if motion is None else [BasePoint()]
     sensors += [] if angles is None else [Encoders()]
     observation = Observation(*sensors, family=family).bound(body)
     if learn_lengths:
-        body = with_observed_lengths(recording, body)
+        body = with_observed_lengths(held.at_rest, body)
+    at_rest = observations if motion is None else on_base_at_rest(observation, observations, motion.displacements)
     notes: tuple[str, ...] = ()
     if isinstance(body, Body) and not body.is_chain:
         # Where others use its coordinates they stay as they are.
         spoken = angles is not None or command is not None or truth is not None
         spoken |= any(name.startswith("initial.") for name in parameters or {})
-        body, notes = _charted(body, time, observations, observation, turning=not spoken)
-    values = {**_start_values(body, time, observations, observation), **(parameters or {})}
+        body, notes = _charted(body, time, at_rest, observation, turning=not spoken)
+    values = {**_start_values(body, time, at_rest, observation), **held.values, **(parameters or {})}
     options: dict[str, Any] = {"torque": torque, "command": command, "integrator": integrator, "parameters": values}
+    options["base"] = None if motion is None else MovingBase(body.dimensions)
     try:
         model = ArmModel(body, time, observation, substeps=substeps or 1, **options)
     except (UnknownParameter, WrongValue) as error:
@@ -183,7 +199,7 @@ def arm_problem(
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
     known = None if truth is None else truth.at(recording.time)
-    return Problem(model, observations, recording, known, notes, origin, is_doubted(model))
+    return Problem(model, observations, recording, known, notes, origin, is_doubted(model), held.line)
 
 
 def _sites(recording: Recording, body: ArticulatedBody) -> list[tuple[int, int]]:

@@ -15,7 +15,7 @@ import xarray as xr
 from invdyn.inference.posterior.problem import STATES
 from invdyn.recordings import InputError
 
-JOINTS, TIPS = ("time", "joint"), ("time", "keypoint", "space")
+JOINTS, TIPS, PLACE = ("time", "joint"), ("time", "keypoint", "space"), ("time", "space")
 NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "posterior": dict.fromkeys(("torque", "angle", "velocity"), ("chain", "draw", *JOINTS))
     | {"position": ("chain", "draw", *TIPS)},
@@ -24,10 +24,12 @@ NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "constant_data": {},
 }
 OPTIONAL: dict[str, dict[str, tuple[str, ...]]] = {
-    "posterior_predictive": {"position": ("chain", "draw", *TIPS), "angle": ("chain", "draw", *JOINTS)},
+    "posterior": {f"base_{name}": ("chain", "draw", *PLACE) for name in ("position", "velocity", "acceleration")},
+    "posterior_predictive": {"position": ("chain", "draw", *TIPS), "angle": ("chain", "draw", *JOINTS)}
+    | {"base_position": ("chain", "draw", *PLACE)},
     "log_likelihood": {"y": ("chain", "draw", "time")},
     "sample_stats": {"log_evidence": ("filter",), "ess": ("filter", "time"), "resampled": ("filter", "time")},
-    "observed_data": {"position": TIPS, "angle": JOINTS},
+    "observed_data": {"position": TIPS, "angle": JOINTS, "base_position": PLACE},
     "constant_data": dict.fromkeys(("truth_torque", "truth_angle", "truth_velocity", "command"), JOINTS)
     | {"base": ("space",), "skeleton": ("edge", "end"), "turns": ("joint",)},
 }

@@ -35,6 +35,7 @@ from torch import Tensor
 from invdyn.models.articulated.as_filed import engine_steps, filed
 from invdyn.models.articulated.defaults import Value, WrongValue, default_parameters, shaped
 from invdyn.models.articulated.drive import Drive, Motors
+from invdyn.models.articulated.moving_base import MovingBase, OnMovingBase
 from invdyn.models.articulated.observation_model import ObservationModel
 from invdyn.models.articulated.start import kinematic_paths
 from invdyn.models.articulated.state import StateLayout
@@ -46,7 +47,7 @@ from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.effects.base import PREFIX, Effect
 from invdyn.models.effects.command import Command
-from invdyn.models.effects.composition import Composition
+from invdyn.models.effects.composition import Composition, NotTogether
 from invdyn.models.effects.parameters import check_tracked, hidden_scales, is_signed, parameters_of
 from invdyn.models.effects.scale import Experience, Scale
 from invdyn.models.observation.keypoints import Keypoints
@@ -67,6 +68,7 @@ class ArmModel(StateSpaceModel):
         time: (T,) s, increasing; need not be regular.
         observation: what is observed; by default keypoints at all sites.
         torque: torque process; Ornstein–Uhlenbeck by default.
+        base: how the first joint is carried about, in d axes; None where it stands still.
         command: (T, K) N·m, constant from each row to the next, or None.
         dynamics: "traced" (default), or of a planar chain "symbolic", the paper's own derivation by SymPy.
         integrator: "rk4" (default), "euler" (as printed) or "semi_implicit".
@@ -89,6 +91,7 @@ class ArmModel(StateSpaceModel):
         observation: Observation | None = None,
         *,
         torque: TorqueProcess | None = None,
+        base: MovingBase | None = None,
         command: np.ndarray | Tensor | None = None,
         dynamics: str = "traced",
         integrator: str = "rk4",
@@ -101,6 +104,8 @@ class ArmModel(StateSpaceModel):
         self.body, self.dynamics = body, dynamics_for(body, *own)
         self.observation = (observation or Observation(Keypoints(range(len(body.keypoint_names))))).bound(body)
         self.torque = torque or OrnsteinUhlenbeck()
+        self.base = base
+        self.process = self.torque if base is None else OnMovingBase(self.torque, base)
         self.effects = Composition((), filed(body))
         self.integrator, self.substeps = integrator, substeps
         self.timeline = Timeline.of(time)
@@ -108,10 +113,10 @@ class ArmModel(StateSpaceModel):
         self.num_steps = len(self.timeline.time)
         self.drive = Drive.held(command, (self.num_steps, body.num_joints))
         self.experience = Experience()
-        self.torque_size = self.torque.size(body.num_joints)
+        self.torque_size = self.process.size(body.num_joints)
         self.observation_dim = self.observation.size
         self._numbers = type(body.parameters())
-        super().__init__(default_parameters(body, self.dynamics, self.torque, self.observation))
+        super().__init__(default_parameters(body, self.dynamics, self.process, self.observation))
         self.state_dim = self.layout.size
         self.parameters = self.replace(**shaped(parameters or {}, self.parameters)).parameters
 
@@ -121,7 +126,7 @@ class ArmModel(StateSpaceModel):
         """What a state is made of."""
         hidden = sum(each.states for each in self.effects.hidden)
         memory = self.observation.states
-        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.torque.diagonal, memory)
+        return StateLayout(self.torque_size, hidden, self.body.num_joints, self.process.diagonal, memory)
 
     @cached_property
     def mechanics(self) -> Mechanics:
@@ -137,14 +142,20 @@ class ArmModel(StateSpaceModel):
         """How its states go on."""
         parts = self.substeps_taken
         return Transition(
-            self.mechanics, self._motors, self.timeline, self.torque, self.layout, parts, self.observation
+            self.mechanics, self._motors, self.timeline, self.process, self.layout, parts, self.observation
         )
 
     @cached_property
     def observation_model(self) -> ObservationModel:
         """The body before its sensors."""
         return ObservationModel(
-            self.mechanics, self._motors, self.timeline, self.observation, self.layout, self.substeps_taken
+            self.mechanics,
+            self._motors,
+            self.timeline,
+            self.observation,
+            self.layout,
+            self.substeps_taken,
+            self.base,
         )
 
     @property
@@ -195,6 +206,18 @@ class ArmModel(StateSpaceModel):
     def split(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """State (..., D) → torque state z and hidden ones (..., Z + H + M), angles (..., K), velocities (..., K)."""
         return self.layout.split(state)
+
+    def base_motion(self, path: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:
+        """The base's b, ḃ and b̈ along paths (..., T, D): (..., T, d) m, m/s, m/s²; None of one that stands still."""
+        if self.base is None:
+            return None
+        return self.base.parted(path[..., self.torque_size - self.base.size : self.torque_size])
+
+    def sites(self, path: Tensor) -> Tensor:
+        """Where the sites are along paths (..., T, D), in the recording's frame, (..., T, S, d) m."""
+        points = self.dynamics.keypoints(self.split(path)[1], self.body_parameters())
+        moved = self.base_motion(path)
+        return points if moved is None else points + moved[0].unsqueeze(-2)
 
     def net_torque(self, path: Tensor) -> Tensor:
         """τ + u along paths (..., T, D), N·m: the torque that moved the body, (..., T, K)."""
@@ -283,6 +306,8 @@ class ArmModel(StateSpaceModel):
             parameters={**self.parameters, **starts},
             priors={**self.priors, **priors},
         )
+        if self.base is not None and every.hinge is not None:
+            raise NotTogether(f"{every.hinge.key}: expected a base at rest under a hidden hinge, this one moves")
         other.state_dim = other.layout.size
         return other
 

@@ -112,6 +112,7 @@ class RowDrive:
         interval, dt: s, (..., 1), what the row is said to last, and what it lasts.
         parts: sub-steps.
         unknown, drift: of start and change the torque process's part; None, where servos need no command.
+        carried: b̈ of a base that moves and its change within the row, m/s², (..., d) each; None of one at rest.
     """
 
     start: Tensor
@@ -123,6 +124,7 @@ class RowDrive:
     parts: int
     unknown: Tensor | None = None
     drift: Tensor | float = 0.0
+    carried: tuple[Tensor, Tensor | float] | None = None
 
     def commanded(self, s: float | Tensor) -> Tensor:
         """Of :meth:`motor` what was commanded."""

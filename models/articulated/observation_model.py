@@ -21,6 +21,7 @@ from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.models.articulated.drive import Motors, RowDrive
+from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.models.articulated.state import StateLayout
 from invdyn.models.articulated.step import Mechanics
 from invdyn.models.articulated.timeline import Row, Timeline
@@ -39,6 +40,7 @@ class ObservationModel:
     Attributes:
         layout: of its states.
         parts: sub-steps that a row is integrated in.
+        base: that moves, or None.
     """
 
     mechanics: Mechanics
@@ -47,6 +49,7 @@ class ObservationModel:
     observation: Observation
     layout: StateLayout
     parts: int
+    base: MovingBase | None = None
 
     def emission(self, state: Tensor, t: Row) -> Distribution:
         """Distribution of row ``t`` given its ``state``; event shape (O,)."""
@@ -55,16 +58,22 @@ class ObservationModel:
     def view(self, state: Tensor, t: Row) -> View:
         """Row ``t`` as effects leave it to the sensors."""
         unseen, q, qd = self.layout.split(state)
-        _, hidden, memory = self.layout.parted(unseen)
+        z, hidden, memory = self.layout.parted(unseen)
         effects, parameters, dynamics = self.mechanics.effects, self.mechanics.parameters, self.mechanics.dynamics
         body = self.mechanics.body_parameters()
         points = effects.sites(parameters, dynamics, q, hidden, body)
+        base = None if self.base is None else self.base.parted(z[..., -self.base.size :])
+        if base is not None:
+            points = points + base[0].unsqueeze(-2)
 
         def angles_after(seconds: Tensor) -> Tensor:
             return self._ahead(state, t, body, seconds)
 
         def ahead(seconds: Tensor) -> Tensor:
-            return dynamics.keypoints(angles_after(seconds), body) - dynamics.keypoints(q, body)
+            moved = dynamics.keypoints(angles_after(seconds), body) - dynamics.keypoints(q, body)
+            if base is not None:
+                moved = moved + (seconds * base[1] + seconds**2 / 2 * base[2]).unsqueeze(-2)
+            return moved
 
         def acceleration() -> Tensor:
             return self.acceleration(state, t, body)
@@ -72,7 +81,7 @@ class ObservationModel:
         def clock() -> Tensor:
             return self.timeline.elapsed[t].to(state).unsqueeze(-1)
 
-        view = View(q, qd, points, q, body, dynamics, acceleration, angles_after, ahead, clock)
+        view = View(q, qd, points, q, body, dynamics, acceleration, angles_after, ahead, clock, base=base)
         view.memory = memory if self.layout.memory else None
         return self._as_seen(view, parameters, t) if effects.seen else view
 
@@ -108,7 +117,15 @@ class ObservationModel:
             ends = stretch * seconds / LATER, (stretch + 1) * seconds / LATER
             mean, slope = self.motors.between(t, *ends, unknown)
             drive = RowDrive(
-                unknown + mean - slope / 2, slope, body, clock, interval, seconds / LATER, self.parts, unknown
+                unknown + mean - slope / 2,
+                slope,
+                body,
+                clock,
+                interval,
+                seconds / LATER,
+                self.parts,
+                unknown,
+                carried=self._carried(z),
             )
             *pieces, q, qd = self.mechanics.step(drive, join(*pieces), q, qd)
         return q
@@ -128,5 +145,10 @@ class ObservationModel:
         unknown = z[..., : self.layout.joints]
         torque = unknown if command is None else unknown + command
         interval, clock = self.timeline.interval(t, self.motors.dtype), self.timeline.clock(t, self.motors.dtype)
-        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts, unknown)
+        carried = self._carried(z)
+        drive = RowDrive(torque, 0.0, body, clock, interval, interval, self.parts, unknown, carried=carried)
         return self.mechanics.under(drive, hidden, q, qd)
+
+    def _carried(self, z: Tensor) -> tuple[Tensor, float] | None:
+        """The base's acceleration at a row, which stays."""
+        return None if self.base is None else (self.base.parted(z[..., -self.base.size :])[2], 0.0)

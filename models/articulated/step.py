@@ -4,6 +4,7 @@ Within a row the torque process moves on a straight line from z to its mean one 
 is constant or moves as the motors make it (:class:`.drive.RowDrive`). Effects act in the order
 
     motors, forces, inertias of the joints    as the integrator asks for them
+    a base that moves                         as gravity −b̈ more, at the same moments
     dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
     a hidden hinge                            has a step of its own: :mod:`.effects.hidden`
     bristles                                  the same: :mod:`.effects.bristles`
@@ -178,12 +179,23 @@ class Mechanics:
         A share ``s`` of the row after its start.
         """
         if not self.effects:
-            return drive.motor(s), None, None
+            return self._driven(drive, q, s), None, None
         own = self.effects.inertia(self.parameters, self.body.num_joints)
         if not (self.effects.has_force or self.effects.has_friction):
-            return drive.motor(s), own, None
+            return self._driven(drive, q, s), own, None
         now = self.now(drive, q, qd, s)
-        return now.motor + self.effects.force(self.parameters, now), own, now
+        return now.motor + self.effects.force(self.parameters, now) + self._carried(drive, q, s), own, now
+
+    def _driven(self, drive: RowDrive, q: Tensor, s: float | Tensor) -> Tensor:
+        """The torque of motors, and what a base that moves adds."""
+        return drive.motor(s) + self._carried(drive, q, s)
+
+    def _carried(self, drive: RowDrive, q: Tensor, s: float | Tensor) -> Tensor | float:
+        """The load of the gravity −b̈ in a moving base's frame, as a torque, (..., K) N·m."""
+        if drive.carried is None:
+            return 0.0
+        start, change = drive.carried
+        return self.dynamics.uniform_load(q, start + s * change, drive.body)
 
     def now(self, drive: RowDrive, q: Tensor, qd: Tensor, s: float | Tensor) -> Situation:
         """The moment a share ``s`` of the row after its start."""

@@ -18,6 +18,7 @@ from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.models.articulated.drive import Motors, RowDrive
+from invdyn.models.articulated.moving_base import OnMovingBase
 from invdyn.models.articulated.state import StateLayout
 from invdyn.models.articulated.step import Mechanics
 from invdyn.models.articulated.timeline import Row, Timeline
@@ -93,7 +94,11 @@ class Transition:
             mean, slope = (row.to(z) for row in self.motors.made.row(t))
             start, change = start + mean - slope / 2, change + slope
         times = self.timeline.clock(t - 1, dtype), self.timeline.interval(t, dtype), self._lasts(t)
-        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts, unknown, drift)
+        carried = None
+        if isinstance(self.torque, OnMovingBase):
+            (*_, before), (*_, after) = (self.torque.base.parted(self.torque.parted(each)[1]) for each in (z, z_next))
+            carried = before, after - before
+        return RowDrive(start, change, self.mechanics.body_parameters(), *times, self.parts, unknown, drift, carried)
 
     def _initial(self, angle: Tensor, velocity: Tensor, angle_scale: Tensor) -> Distribution:
         p = self.mechanics.parameters

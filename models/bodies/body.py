@@ -152,8 +152,9 @@ class Body(FromFiles, BodyBase):
 
     @property
     def base_keypoint(self) -> str | None:
-        """In the plane the keypoint at the base, which has the first joint's name."""
-        return self.links[0].joint.name if self.is_chain else None
+        """The keypoint at the base has the first joint's name; "base" where a site of a tree has that."""
+        name = self.links[0].joint.name
+        return next((each for each in (name, "base") if each not in self.keypoint_names), None)
 
     def motions(self) -> list[tuple[Link, Motion]]:
         """All coordinates, driven ones too, with the link that each belongs to."""

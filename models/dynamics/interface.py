@@ -75,6 +75,10 @@ class Dynamics(ABC):
         weightless = p._replace(gravity=torch.zeros_like(p.gravity))
         return self.forward(q, torch.zeros_like(q), tau, weightless, own_inertia)
 
+    def uniform_load(self, q: Tensor, field: Tensor, p: Any) -> Tensor:
+        """The load c(θ) in another gravity ``field`` (..., d) m/s², N·m, (..., K); linear in it."""
+        return self.gravity_load(q, p._replace(gravity=field))
+
     def power(self, qd: Tensor, tau: Tensor) -> Tensor:
         """Mechanical power τ θ̇ that each joint's torque gives to the body, W, (..., K)."""
         return tau * qd

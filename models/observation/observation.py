@@ -21,6 +21,7 @@ from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.observation.base_point import BasePoint
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.multivariate_t import MultivariateT
@@ -101,6 +102,11 @@ class Observation:
     def keypoints(self) -> Keypoints | None:
         """The sensor of keypoints, if there is one."""
         return next((each for each in self.sensors if isinstance(each, Keypoints)), None)
+
+    @property
+    def base_point(self) -> BasePoint | None:
+        """The sensor of the base's own keypoint, if there is one."""
+        return next((each for each in self.sensors if isinstance(each, BasePoint)), None)
 
     @property
     def encoders(self) -> Encoders | None:

@@ -33,6 +33,7 @@ class View:
         noise: function that changes the sites' standard deviations (..., S, d), of the effects; None for none.
         mistakes: occasional errors of the tracker.
         memory: (..., M) states of all sensors; for a sensor's own method, its own states. None where there are none.
+        base: b, ḃ and b̈ of a base that moves, (..., d) m, m/s, m/s², which points have in them; None of one at rest.
     """
 
     q: Tensor
@@ -49,6 +50,7 @@ class View:
     noise: Callable[[Tensor], Tensor] | None = None
     mistakes: Sequence[Outlier | Swap | Shift] = field(default=())
     memory: Tensor | None = None
+    base: tuple[Tensor, Tensor, Tensor] | None = None
 
     def seen_at(self, points: Tensor) -> "View":
         """The same view with other points."""
@@ -85,9 +87,11 @@ class View:
     @cached_property
     def velocity(self) -> Tensor:
         """The sites' ṙ, (..., S, d) m/s."""
-        return self.dynamics.site_velocities(self.q, self.qd, self.body)
+        own = self.dynamics.site_velocities(self.q, self.qd, self.body)
+        return own if self.base is None else own + self.base[1].unsqueeze(-2)
 
     @cached_property
     def site_acceleration(self) -> Tensor:
         """The sites' r̈, (..., S, d) m/s²."""
-        return self.dynamics.site_accelerations(self.q, self.qd, self.acceleration(), self.body)
+        own = self.dynamics.site_accelerations(self.q, self.qd, self.acceleration(), self.body)
+        return own if self.base is None else own + self.base[2].unsqueeze(-2)

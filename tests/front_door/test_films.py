@@ -197,7 +197,7 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
     origin = 15 + np.cumsum(np.full((80, 2), 0.1), 0)
     pixels = origin[:, None] + 7.0 * observed * [1, -1] + [2.0, 1.0]
     tracks = Recording(shared[1], np.concatenate([origin[:, None], pixels], 1), ("base", "elbow", "wrist"))
-    overlay = Overlay(Film("f.mov"), tracks, "base", idata)
+    overlay = Overlay(Film("f.mov"), tracks, idata)
     assert overlay.scale == pytest.approx(7.0)
     np.testing.assert_allclose(overlay.pixels(observed), pixels, atol=1e-6)
     (first, later) = overlay.pictures(np.array([3, 60]))

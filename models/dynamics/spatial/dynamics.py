@@ -122,6 +122,11 @@ class SpatialDynamics(Dynamics):
         self._check(q=q)
         return self._evaluate("gravity_load", p, driven, q=q)
 
+    def uniform_load(self, q: Tensor, field: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+        """The load c(q) in a gravity ``field`` (..., d) m/s² that may differ from one state to the next, (..., K)."""
+        self._check(q=q)
+        return self._evaluate("uniform_load", p, driven, q=q, field=field)
+
     def bias(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
         """H + c, N·m or N, (..., K)."""
         self._check(q=q, qd=qd)
@@ -240,6 +245,8 @@ class SpatialDynamics(Dynamics):
             state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau", K))
             own = moving("own", K) if with_own else None
             frames = frames_of(self.tree, self._entry(graph, known), method != "potential_energy")
+            if method == "uniform_load":
+                frames = replace(frames, gravity=[*moving("field", self.space), 0.0][:3])
             self._programs[key] = program(graph, TRACED[method](frames, state, own, self.space))
         return self._programs[key]
 
@@ -325,6 +332,7 @@ TRACED = {
         replace(frames, gravity=ZERO), _undriven(frames, motion)
     ),
     "gravity_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
+    "uniform_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
     "kinetic_energy": lambda frames, motion, *_: [newton_euler.kinetic_energy(frames, motion)],
     "potential_energy": lambda frames, motion, *_: [kinematics.potential_energy(frames, motion)],
     "inertia_matrix": lambda frames, motion, *_: _flat(composite_bodies.inertia_matrix(frames, motion)),

@@ -83,8 +83,8 @@ def test_a_body_gives_the_order_and_the_base_may_be_there(tmp_path):
         "1,3,3,1,1,2,2",
     )
     recording = load(path, keypoints=("elbow", "wrist"), base="shoulder")
-    assert recording.keypoint_names == ("elbow", "wrist")
-    np.testing.assert_array_equal(recording.keypoints[0], [[1, 1], [2, 2]])  # less the shoulder's place
+    assert recording.keypoint_names == ("shoulder", "elbow", "wrist")
+    np.testing.assert_array_equal(recording.keypoints[0], [[0, 0], [1, 1], [2, 2]])  # less the shoulder's place
     with pytest.raises(InputError, match="unknown 'shoulder'"):
         load(path, keypoints=("elbow", "wrist"))
 

@@ -1,0 +1,239 @@
+"""The base of a recording: whether it moves by more than its tracker's noise, and how; or whether it is elsewhere.
+
+What its own track says needs no body.
+
+Two laws of a track y (T, d) are compared by their evidence,
+
+    at rest    y_t = c + N(0, r²)
+    it moves   y_t = b_t + N(0, r²),   b as in :mod:`invdyn.models.articulated.moving_base`
+
+each at the best of a grid of its parameters, axis by axis. A base moves where the second is ahead by ``AHEAD`` nats,
+and where that matters: its acceleration's rms is above ``FELT`` of gravity, or its displacement's above ``SHIFTED``
+times the noise. What is smaller changes torques by less than their bands, and a tracker's slow drift is no motion.
+
+Of a base that is not tracked its place is the body file's. It is refused where it contradicts the keypoints: a site
+that keeps its distance L from the first joint lies on a circle, or sphere, about it. Another middle than the file's,
+
+    min over c of Σ_t (|y_t − c| − L)²,
+
+must leave less than ``EXPLAINED`` of the rms that the file's leaves, which must exceed ``MISFIT`` of L, and no other
+length about the file's place may do nearly as well.
+
+Shapes: T rows, d axes.
+"""
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+
+from invdyn.inference.plausible_for_body import distances_of_base, rooted, site_at_base
+from invdyn.inference.posterior.jitter import point_jitter
+from invdyn.models import ArticulatedBody, Body
+from invdyn.models.articulated.base_track import filtered, without_outliers
+from invdyn.models.articulated.moving_base import MovingBase
+from invdyn.recordings import InputError, Recording
+from invdyn.recordings.cameras import Filmed
+
+AHEAD, FELT, SHIFTED = 10.0, 0.01, 3.0
+"""Nats; share of gravity; times the noise."""
+SCALES, LENGTHS = np.geomspace(0.003, 3.0, 7), np.geomspace(0.03, 1.0, 6)
+"""Grids of σ, in units of gravity, and of ℓ, s."""
+NOISES = (0.5, 0.7, 1.0, 1.4)
+"""Grid of the noise, times the jitter."""
+STANDARD_GRAVITY = 9.81
+MISFIT, EXPLAINED = 0.05, 0.3
+"""Of a length, and of a misfit."""
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """What a track says of its base.
+
+    Attributes:
+        moves: whether it moves.
+        place: (d,) median of the track.
+        noise: sd, in the unit of length.
+        gain: by how many nats "it moves" is ahead.
+        acceleration: rms of b̈ over the rows, m/s².
+        displacement: rms of b − its mean.
+        values: of the process, by the model's names.
+        path: (T, 4 d) states of the moving base about ``place``.
+    """
+
+    moves: bool
+    place: np.ndarray
+    noise: float
+    gain: float
+    acceleration: float
+    displacement: float
+    values: dict[str, np.ndarray]
+    path: np.ndarray
+
+    @property
+    def displacements(self) -> torch.Tensor:
+        """Of b, about ``place``, (T, d)."""
+        return torch.as_tensor(self.path[:, : len(self.place)])
+
+
+@dataclass(frozen=True)
+class Base:
+    """A recording whose base is where the body's is, but for its motion.
+
+    Attributes:
+        recording: shifted by one constant.
+        motion: of the base, about the body's own place; None where it is taken to be at rest.
+        apart: name of the keypoint that is the moving base's own track.
+        line: what was decided, for a reader.
+    """
+
+    recording: Recording
+    motion: BaseMotion | None = None
+    apart: str | None = None
+    line: str = ""
+
+    @property
+    def at_rest(self) -> Recording:
+        """The recording as of a base at rest, where it was estimated."""
+        if self.motion is None:
+            return self.recording
+        return replace(self.recording, keypoints=self.recording.keypoints - self.motion.displacements.numpy()[:, None])
+
+    @property
+    def values(self) -> dict[str, np.ndarray]:
+        """Where a model's parameters of the base begin."""
+        if self.motion is None:
+            return {}
+        return {**self.motion.values, "emission.base_scale": np.array([self.motion.noise])}
+
+
+def hold_base(recording: Recording, body: ArticulatedBody) -> Base:
+    """What is made of a recording's base.
+
+    Raises InputError for a base that is not tracked and stands elsewhere than the body's file says.
+    """
+    if not isinstance(body, Body) or not recording.keypoint_names:
+        return Base(recording)
+    unit, own = recording.length_unit, np.array(body.base)
+    name = next((n for n in (body.base_keypoint, site_at_base(body)) if n in recording.keypoint_names), None)
+    if name is None:
+        check_place(recording, body)
+        where = ", ".join(f"{x:.3g}" for x in own)
+        return Base(
+            recording, line=f"base: not tracked, taken to be at rest at ({where}) {unit}, as the body's file says"
+        )
+    found = base_motion(recording.time, recording.keypoint(name), float(np.linalg.norm(body.gravity)))
+    size = f"noise {found.noise:.2g} {unit}"
+    if isinstance(recording, Filmed):
+        if found.moves:
+            warnings.warn(
+                f"{recording.name}: the base {name!r} moves ({found.acceleration:.2g} {unit}/s² rms), which pixels of "
+                "several cameras are taken not to show: triangulate them first (invdyn triangulate)",
+                stacklevel=3,
+            )
+        return Base(recording, line=f"base: {name!r} is taken to be at rest")
+    moved = recording.moved(own - found.place)
+    if not found.moves:
+        return Base(moved, line=f"base: {name!r} is at rest ({size})")
+    return Base(
+        moved,
+        found,
+        name,
+        f"base: {name!r} moves, so its motion is part of the model: acceleration {found.acceleration:.2g} {unit}/s² "
+        f"rms, displacement {found.displacement:.2g} {unit} rms, {size}",
+    )
+
+
+def check_place(recording: Recording, body: Body) -> None:
+    """Raise InputError where keypoints contradict the place of a base that is not tracked; see the top of the file."""
+    if not rooted(body):
+        return
+    for (_, name), length in distances_of_base(body).items():
+        if name not in recording.keypoint_names:
+            continue
+        points = recording.keypoint(name)
+        points = points[np.isfinite(points).all(-1)]
+        if len(points) < 10:
+            continue
+        place = np.array(body.base)
+        before = np.linalg.norm(points - place, axis=-1)
+        found = least_squares(lambda c, y=points, r=length: np.linalg.norm(y - c, axis=-1) - r, place, loss="soft_l1")
+        after = np.linalg.norm(points - found.x, axis=-1)
+        misfit, left, other = (
+            float(np.sqrt(np.mean(off**2))) for off in (before - length, after - length, before - before.mean())
+        )
+        if misfit > MISFIT * length and left < EXPLAINED * min(misfit, other):
+            at = ", ".join(f"{x:.3g}" for x in found.x)
+            unit = recording.length_unit
+            raise InputError(
+                f"{recording.name}: {name} turns about ({at}) {unit}, not about the base of body '{body.name}', from "
+                f"which its distance is {misfit:.2g} {unit} (rms) off {length:.3g}: expected keypoints in the body's "
+                "frame: set the base's place in the body's file, or pass --base with the keypoint at the first joint"
+            )
+
+
+def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_GRAVITY) -> BaseMotion:
+    """Of a ``track`` (T, d) at times (T,), NaN where missing; ``gravity`` in the track's unit of length a s²."""
+    axes, gravity = track.shape[-1], gravity or STANDARD_GRAVITY
+    jitter = float(point_jitter(track[:, None])[0])
+    extent = float(np.nanmax(np.abs(track - np.nanmedian(track, 0))))
+    jitter = max(jitter, 1e-4 * extent, 1e-9)
+    seen = without_outliers(track, jitter)
+    place = np.nanmedian(seen, axis=0)
+    about = seen - place
+    speed = _speed(time, about)
+    wide = {"base.place_scale": np.maximum(2 * np.sqrt(np.nanmean(about**2, 0)), 3 * jitter)}
+    wide["base.speed_scale"] = np.maximum(2 * speed, jitter / np.median(np.diff(time)))
+    grid = np.array(list(product(SCALES * gravity, LENGTHS, NOISES)))
+    fixed = {name: torch.as_tensor(value).expand(len(grid), axes) for name, value in wide.items()}
+    values = {
+        "base.scale": torch.as_tensor(grid[:, :1]).expand(-1, axes),
+        "base.lengthscale": torch.as_tensor(grid[:, 1:2]).expand(-1, axes),
+        **fixed,
+    }
+    base, noises = MovingBase(axes), torch.as_tensor(jitter * grid[:, 2:]).expand(-1, axes)
+    evidence, _ = filtered(base, values, time, about, noises, smooth=False)
+    best = np.nanargmax(evidence, axis=0)
+    chosen = {name: value.numpy()[best, range(axes)] for name, value in values.items()}
+    noise = noises.numpy()[best, range(axes)]
+    tensors = {name: torch.as_tensor(value) for name, value in chosen.items()}
+    _, path = filtered(base, tensors, time, about, torch.as_tensor(noise))
+    still = _at_rest(about, wide["base.place_scale"], jitter)
+    gain = float(evidence.max(0).sum() - still)
+    states = base.parted(torch.as_tensor(path))
+    shift, acceleration = states[0].numpy(), states[2].numpy()
+    felt = float(np.sqrt((acceleration**2).sum(-1).mean()))
+    moved = float(np.sqrt(((shift - shift.mean(0)) ** 2).sum(-1).mean()))
+    size = float(noise.max())
+    moves = gain > AHEAD and (felt > FELT * gravity or moved > SHIFTED * size)
+    return BaseMotion(moves, place, size, gain, felt, moved, chosen, path)
+
+
+def _speed(time: np.ndarray, track: np.ndarray) -> np.ndarray:
+    """Rms velocity (d,) over tenths of a second, m/s."""
+    seen = np.isfinite(track).all(-1)
+    when, where = time[seen], track[seen]
+    apart = max(1, round(0.1 / float(np.median(np.diff(time)))))
+    if len(when) <= apart:
+        return np.zeros(track.shape[-1])
+    rate = (where[apart:] - where[:-apart]) / (when[apart:] - when[:-apart])[:, None]
+    return np.sqrt((rate**2).mean(0))
+
+
+def _at_rest(track: np.ndarray, wide: np.ndarray, jitter: float) -> float:
+    """Log-evidence of a constant c ~ N(0, wide²) and white noise, at the best noise of each axis, nats."""
+    total = 0.0
+    for column, sd in zip(track.T, wide, strict=True):
+        y = column[np.isfinite(column)]
+        size = len(y)
+        r2 = (jitter * np.geomspace(0.5, 4.0, 13)) ** 2
+        # y ~ N(0, r² I + sd² 1 1ᵀ)
+        inner = 1 + size * sd**2 / r2
+        square = (y**2).sum() / r2 - (sd * y.sum() / r2) ** 2 / inner
+        log = -0.5 * (square + size * np.log(2 * math.pi * r2) + np.log(inner))
+        total += float(log.max())
+    return total
