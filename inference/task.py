@@ -34,7 +34,9 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
     """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
 
     The dynamics' own noise ε is not among them. White noise on a velocity is a white torque by another name, and takes
-    torque away from τ. On the DFKI arm the evidence likes that, and the torque's error doubles.
+    torque away from τ. On the DFKI arm the evidence likes that, and the torque's error doubles. A moving base's process
+    is that of its own track (:mod:`.base_motion`): a person's torques make up for what the base does to the arm, and
+    the evidence of both would take that for a base that the arm does not feel.
     """
     body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
     wanted = [
@@ -44,9 +46,6 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
         Free("torque.rough_scale", tied=True),
         Free("torque.rough_decay", tied=True, sd=1.0),
-        # Axes differ as their tracks do at the start.
-        Free("base.scale", tied=True),
-        Free("base.lengthscale", tied=True, sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
     ]

@@ -7,9 +7,10 @@ Two laws of a track y (T, d) are compared by their evidence,
     at rest    y_t = c + N(0, r²)
     it moves   y_t = b_t + N(0, r²),   b as in :mod:`invdyn.models.articulated.moving_base`
 
-each at the best of a grid of its parameters, axis by axis. A base moves where the second is ahead by ``AHEAD`` nats,
-and where that matters: its acceleration's rms is above ``FELT`` of gravity, or its displacement's above ``SHIFTED``
-times the noise. What is smaller changes torques by less than their bands, and a tracker's slow drift is no motion.
+each at the best of a grid of its parameters, axis by axis; ℓ has a wide prior. A base moves where the second is ahead
+by ``AHEAD`` nats, and where that matters: its acceleration has an rms above ``FELT`` of gravity, or its displacement
+one above ``SHIFTED`` times the noise. What is smaller changes torques by less than their bands, and the slow drift of
+a tracker is no motion.
 
 Of a base that is not tracked its place is the body file's. It is refused where it contradicts the keypoints: a site
 that keeps its distance L from the first joint lies on a circle, or sphere, about it. Another middle than the file's,
@@ -43,8 +44,13 @@ AHEAD, FELT, SHIFTED = 10.0, 0.01, 3.0
 """Nats; share of gravity; times the noise."""
 SCALES, LENGTHS = np.geomspace(0.003, 3.0, 7), np.geomspace(0.03, 1.0, 6)
 """Grids of σ, in units of gravity, and of ℓ, s."""
-NOISES = (0.5, 0.7, 1.0, 1.4)
+NOISES = np.array([0.5, 0.7, 1.0, 1.4])
 """Grid of the noise, times the jitter."""
+FINER = np.geomspace(0.75, 1 / 0.75, 5)
+"""Of a second, finer grid, times the first one's best."""
+USUAL, SPREAD, SHORTEST = 0.15, 0.7, 2.0
+"""Prior of ℓ, s and sd of its logarithm: steps of people, vehicles. And the least ℓ, in rows: what changes faster than
+rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
 MISFIT, EXPLAINED = 0.05, 0.3
 """Of a length, and of a misfit."""
@@ -188,29 +194,35 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
     speed = _speed(time, about)
     wide = {"base.place_scale": np.maximum(2 * np.sqrt(np.nanmean(about**2, 0)), 3 * jitter)}
     wide["base.speed_scale"] = np.maximum(2 * speed, jitter / np.median(np.diff(time)))
-    grid = np.array(list(product(SCALES * gravity, LENGTHS, NOISES)))
-    fixed = {name: torch.as_tensor(value).expand(len(grid), axes) for name, value in wide.items()}
-    values = {
-        "base.scale": torch.as_tensor(grid[:, :1]).expand(-1, axes),
-        "base.lengthscale": torch.as_tensor(grid[:, 1:2]).expand(-1, axes),
-        **fixed,
-    }
-    base, noises = MovingBase(axes), torch.as_tensor(jitter * grid[:, 2:]).expand(-1, axes)
-    evidence, _ = filtered(base, values, time, about, noises, smooth=False)
-    best = np.nanargmax(evidence, axis=0)
-    chosen = {name: value.numpy()[best, range(axes)] for name, value in values.items()}
-    noise = noises.numpy()[best, range(axes)]
-    tensors = {name: torch.as_tensor(value) for name, value in chosen.items()}
-    _, path = filtered(base, tensors, time, about, torch.as_tensor(noise))
+    base = MovingBase(axes)
+    fixed = {name: torch.as_tensor(value) for name, value in wide.items()}
+    chosen = np.tile([1.0, 1.0, 1.0], (axes, 1))  # σ, ℓ and noise of each axis
+    shortest = SHORTEST * float(np.median(np.diff(time)))
+    grids = [
+        (SCALES * gravity, np.maximum(LENGTHS, shortest), NOISES * jitter),
+        (FINER**2, FINER, FINER),
+    ]
+    for grid in grids:
+        tried = np.array(list(product(*grid)))[:, None] * chosen  # (G, d, 3)
+        scale, length, noise = (torch.as_tensor(each.copy()) for each in np.moveaxis(tried, -1, 0))
+        values = {"base.scale": scale, "base.lengthscale": length}
+        values |= {name: value.expand_as(scale) for name, value in fixed.items()}
+        evidence, _ = filtered(base, values, time, about, noise, smooth=False)
+        prior = -0.5 * (np.log(length.numpy() / USUAL) / SPREAD) ** 2
+        best = np.nanargmax(evidence + prior, axis=0)
+        chosen, own = tried[best, range(axes)], evidence[best, range(axes)]
+    found = {"base.scale": chosen[:, 0], "base.lengthscale": chosen[:, 1], **wide}
+    tensors = {name: torch.as_tensor(value.copy()) for name, value in found.items()}
+    _, path = filtered(base, tensors, time, about, torch.as_tensor(chosen[:, 2].copy()))
     still = _at_rest(about, wide["base.place_scale"], jitter)
-    gain = float(evidence.max(0).sum() - still)
+    gain = float(own.sum() - still)
     states = base.parted(torch.as_tensor(path))
     shift, acceleration = states[0].numpy(), states[2].numpy()
     felt = float(np.sqrt((acceleration**2).sum(-1).mean()))
     moved = float(np.sqrt(((shift - shift.mean(0)) ** 2).sum(-1).mean()))
-    size = float(noise.max())
+    size = float(chosen[:, 2].max())
     moves = gain > AHEAD and (felt > FELT * gravity or moved > SHIFTED * size)
-    return BaseMotion(moves, place, size, gain, felt, moved, chosen, path)
+    return BaseMotion(moves, place, size, gain, felt, moved, found, path)
 
 
 def _speed(time: np.ndarray, track: np.ndarray) -> np.ndarray:

@@ -18,26 +18,32 @@ from torch import Tensor
 
 from invdyn.models.articulated.moving_base import ORDER, MovingBase
 
-WINDOW, FAR = 3, 6.0
-"""Rows before and after one whose median it is compared with, and how many deviations off it is left out."""
+PAIRS, WINDOW, FAR = 3, 7, 6.0
+"""Pairs of rows about one whose middles tell where it should be; rows about it that tell how well they do; and how many
+deviations off it is left out."""
 GRAIN = 64
 """Parts of the median step that times of rows are rounded to."""
 
 
 def without_outliers(track: np.ndarray, noise: float) -> np.ndarray:
     """A track (T, d) with detections that are far off their neighbours missing, of a tracker's ``noise`` sd."""
-    padded = np.pad(track, ((WINDOW, WINDOW), (0, 0)), constant_values=np.nan)
-    near = np.lib.stride_tricks.sliding_window_view(padded, 2 * WINDOW + 1, axis=0)
-    middle = _nanmedian(near)
-    spread = noise + 1.4826 * _nanmedian(np.abs(near - middle[..., None]))
-    far = (np.abs(track - middle) > FAR * spread).any(-1)
+    near = _windows(track, PAIRS)
+    off = track - _nanmedian((near[..., :PAIRS] + near[..., :PAIRS:-1]) / 2)
+    spread = noise + 1.4826 * _nanmedian(np.abs(_windows(off, WINDOW)))
+    far = (np.abs(off) > FAR * spread).any(-1)
     return np.where(far[:, None], np.nan, track)
 
 
+def _windows(values: np.ndarray, rows: int) -> np.ndarray:
+    """Of values (T, d) those in so many rows before and after each, (T, d, 2 rows + 1); NaN beyond the ends."""
+    padded = np.pad(values, ((rows, rows), (0, 0)), constant_values=np.nan)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * rows + 1, axis=0)
+
+
 def _nanmedian(values: np.ndarray) -> np.ndarray:
-    """Along the last axis, 0 of nothing."""
+    """Along the last axis, NaN of nothing."""
     known = np.isfinite(values).any(-1)
-    return np.nanmedian(np.where(known[..., None], values, 0.0), axis=-1)
+    return np.where(known, np.nanmedian(np.where(known[..., None], values, 0.0), axis=-1), np.nan)
 
 
 def filtered(
