@@ -96,6 +96,9 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
     wide = other._replace(**{name: getattr(other, name).unsqueeze(2) for name in CHANGED})
     q, qd, qdd = (each.contiguous() for each in torch.broadcast_tensors(q, qd, qdd))
     change = model.dynamics.inverse(q, qd, qdd, wide) - model.dynamics.inverse(q, qd, qdd, nominal)
+    if (moved := model.base_motion(paths)) is not None:  # gravity is then g − b̈
+        felt = moved[2].contiguous()
+        change = change - model.dynamics.uniform_load(q, felt, wide) + model.dynamics.uniform_load(q, felt, nominal)
     dims, torque = contents.posterior["torque"]
     posterior = contents.posterior | {"torque": (dims, torque + change), "stated_torque": (dims, torque)}
     for name, (own, _) in model.body.described(nominal).items():
