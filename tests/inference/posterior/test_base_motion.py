@@ -100,11 +100,13 @@ def test_a_base_elsewhere_than_the_file_says_is_refused(dimensions, off):
     """In one line, with its place."""
     body, recording = arm_on(np.zeros((90, dimensions)), dimensions, shift=[off, 0.0, 0.0][:dimensions])
     untracked = recording.with_keypoints(body.keypoint_names)
-    with pytest.raises(
-        InputError, match=rf"elbow turns about \(0?\.?{off:.1f}.*expected keypoints in the body's"
-    ) as refused:
+    with pytest.raises(InputError, match="expected keypoints in the body's frame") as refused:
         infer(untracked, body)
-    assert "\n" not in str(refused.value)
+    line = str(refused.value)
+    assert "\n" not in line
+    place = re.search(r"elbow turns about \((-?[\d.e-]+)", line)
+    assert place is not None
+    assert float(place[1]) == pytest.approx(off, abs=0.005)
     assert hold_base(untracked.moved([-off, *[0.0] * (dimensions - 1)]), body).line.startswith("base: not tracked")
 
 
