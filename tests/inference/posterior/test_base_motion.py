@@ -1,5 +1,6 @@
 """Whether a base moves, by its own track; and whether it is where the body's file says."""
 
+import re
 import warnings
 from dataclasses import replace
 
