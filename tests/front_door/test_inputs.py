@@ -1,5 +1,7 @@
 """What a command is given: where the tips of a tracked base lie."""
 
+import warnings
+
 import numpy as np
 import pytest
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
@@ -28,6 +30,34 @@ def test_tips_lie_about_the_bodys_base(base, tracked, tmp_path):
     recording = load_recording(str(file), body)
     assert recording.keypoint_names == (("pivot", "tip") if tracked else ("tip",))
     np.testing.assert_allclose(recording.keypoint("tip"), TIP + np.array(base), atol=1e-6)
+
+
+def test_a_base_that_moves_is_kept_to_infer_and_said_to_a_diagnosis(tmp_path):
+    """A diagnosis gets keypoints less its track, or as they were filmed, and a warning; one at rest is no matter."""
+    time = np.arange(60) / 30
+    tip = np.stack([0.3 * np.cos(time), 0.3 * np.sin(time)], -1)
+    walk = np.stack([0.02 * np.sin(2 * np.pi * time), 0.03 * np.cos(4 * np.pi * time)], -1)
+    body, file = planar_body("arm", [ROD], base=(0.4, -0.2)), tmp_path / "rec.csv"
+    noise = 0.001 * np.random.default_rng(0).standard_normal((60, 2, 2))
+    for base, moves in ((walk, True), (0.0 * walk, False)):
+        points = np.stack([base, base + tip], 1) + noise
+        write_keypoint_csv(Recording(time, points, ("pivot", "tip")), file)
+        kept = load_recording(str(file), body)
+        assert kept.keypoint_names == ("pivot", "tip")
+        np.testing.assert_allclose(np.median(kept.keypoint("pivot"), 0), body.base, atol=1e-6)
+        np.testing.assert_allclose(np.diff(kept.keypoints, axis=0), np.diff(points, axis=0), atol=1e-6)
+        for given in ({}, {"base": "pivot"}):
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                filmed = load_recording(str(file), body, as_filmed=True, **given)
+            assert filmed.keypoint_names == ("tip",)
+            lines = [str(each.message) for each in said]
+            assert [("a diagnosis takes it to be at rest" in line) for line in lines] == [True] * moves
+            expected = points[:, 1]
+            if given:
+                away = points[:, 0] if moves else np.median(points[:, 0], 0)
+                expected = expected - away + np.array(body.base)
+            np.testing.assert_allclose(filmed.keypoints[:, 0], expected, atol=1e-6)
 
 
 def test_a_tracked_base_in_three_dimensions_is_one_line(tmp_path):
