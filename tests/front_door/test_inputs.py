@@ -40,7 +40,7 @@ def test_a_base_that_moves_is_kept_to_infer_and_said_to_a_diagnosis(tmp_path):
     body, file = planar_body("arm", [ROD], base=(0.4, -0.2)), tmp_path / "rec.csv"
     noise = 0.001 * np.random.default_rng(0).standard_normal((60, 2, 2))
     for base, moves in ((walk, True), (0.0 * walk, False)):
-        points = np.stack([base, base + tip], 1) + noise
+        points = np.stack([base, base + tip], 1) + noise + np.array(body.base)
         write_keypoint_csv(Recording(time, points, ("pivot", "tip")), file)
         kept = load_recording(str(file), body)
         assert kept.keypoint_names == ("pivot", "tip")
