@@ -199,11 +199,12 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
     chosen = np.tile([1.0, 1.0, 1.0], (axes, 1))  # σ, ℓ and noise of each axis
     shortest = SHORTEST * float(np.median(np.diff(time)))
     grids = [
-        (SCALES * gravity, np.maximum(LENGTHS, shortest), NOISES * jitter),
+        (SCALES * gravity, LENGTHS, NOISES * jitter),
         (FINER**2, FINER, FINER),
     ]
     for grid in grids:
         tried = np.array(list(product(*grid)))[:, None] * chosen  # (G, d, 3)
+        tried[..., 1] = np.maximum(tried[..., 1], shortest)
         scale, length, noise = (torch.as_tensor(each.copy()) for each in np.moveaxis(tried, -1, 0))
         values = {"base.scale": scale, "base.lengthscale": length}
         values |= {name: value.expand_as(scale) for name, value in fixed.items()}
