@@ -163,13 +163,13 @@ def test_infer_passes_on_what_was_said(folder, quick_inference, run):
     assert "90 % covers" in outcome.stdout
 
 
-def test_a_tracked_base_is_subtracted(folder, quick_inference, run):
+def test_a_tracked_base_is_kept_and_its_middle_is_the_bodys(folder, quick_inference, run):
     rows = [f"{0.03 * f},{5 + f},7,{6 + f},7.0,{7 + f},7.0\n" for f in range(5)]
     Path("rec.csv").write_text("time,shoulder_x,shoulder_y,elbow_x,elbow_y,wrist_x,wrist_y\n" + "".join(rows))
     assert run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc").exit_code == 0
     recording = quick_inference[0]["recording"]
-    assert recording.keypoint_names == ("elbow", "wrist")
-    np.testing.assert_allclose(recording.keypoints[3], [[1, 0], [2, 0]])
+    assert recording.keypoint_names == ("shoulder", "elbow", "wrist")
+    np.testing.assert_allclose(recording.keypoints[3], [[1, 0], [2, 0], [3, 0]])
 
 
 @pytest.mark.parametrize("link", [1.0, 0.5])
@@ -198,7 +198,7 @@ def test_film_without_scale_is_as_long_as_the_body(link, folder, quick_inference
     recording = quick_inference[0]["recording"]
     assert (recording.length_unit, said) == (("m", True) if link == 1.0 else ("body length", False))
     total = (60 + 38) / (2 * link)  # px: median lengths of the two links
-    np.testing.assert_allclose(recording.keypoints[2], [[60 / total, 0], [60 / total, 38 / total]])
+    np.testing.assert_allclose(recording.keypoints[2], [[0, 0], [60 / total, 0], [60 / total, 38 / total]])
 
 
 def test_plot_draws_a_saved_posterior_again(folder, quick_inference, run):
