@@ -21,7 +21,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.smoothing.gauss_newton import gauss_newton, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
 from invdyn.inference.smoothing.posterior_linearisation import (
     SharedMeans,
     fit_linear,
@@ -41,6 +41,11 @@ PATIENCE = 6
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
+FRESH = 3
+"""Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
+
+BLOCK = 32
+"""Parameter sets that are computed at once: more are hardly quicker, and take memory."""
 
 NOT_FINITE = (
     "the fit cannot start: expected a finite evidence with finite slopes, got none; look for places far from all "
@@ -147,6 +152,9 @@ class Objective(Generic[M]):
         self.path = start
         self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
+        # The last Hessian all of whose entries were computed, and how many evaluations ago that was.
+        self._whole: np.ndarray | None = None
+        self._age = 0
 
     def at(self, phi: np.ndarray) -> M:
         """See :meth:`LogParameters.at`."""
@@ -161,14 +169,18 @@ class Objective(Generic[M]):
         return self._evaluate(phi)[1]
 
     def hessian(self, phi: np.ndarray) -> np.ndarray:
-        """(P, P)."""
+        """(P, P): its diagonal, and correlations of at most ``FRESH`` evaluations before."""
         return self._evaluate(phi)[2]
 
     def curvature(self, phi: np.ndarray) -> np.ndarray:
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
         _, gradient, hessian = self._evaluate(phi)
         if not self.heavy:
-            return hessian
+            if self._age == 0:
+                return hessian
+            self._whole = None
+            with diverging():
+                return self._expand(phi)[2]
         steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
         rows, found = np.zeros_like(hessian), self.path
         try:
@@ -199,7 +211,11 @@ class Objective(Generic[M]):
         return self._known[1]
 
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient and Hessian at φ."""
+        """Value, gradient and Hessian at φ.
+
+        Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are the more,
+        they are computed every ``FRESH`` evaluations; in between, the last correlations stand.
+        """
         model, size = self.at(phi), len(phi)
         # From the last mode always: from the start the search may end at another one, and evidences would not compare.
         mode = gauss_newton(model, self.observations, start=self.path)
@@ -208,33 +224,58 @@ class Objective(Generic[M]):
         self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
 
         unit = STEP * np.eye(size)
-        first, second = np.triu_indices(size, 1)
+        few = size * (size - 1) / 2 <= 2 * size + 1
+        whole = few or self._whole is None or self._age >= FRESH
+        first, second = np.triu_indices(size if whole else 0, 1)
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
-        path = smoother.path.expand(len(shifts), *smoother.path.shape)
-        covariance = smoother.covariance().expand(len(shifts), -1, -1, -1)
-        moved, seen = self._shared_means(phi, shifts, path, covariance)
-        linear = fit_linear(self.at(phi + shifts), self.observations, path, covariance, moved, seen)
-        evidence = solve(linear).log_evidence + linear.log_constant
+        evidence = self._evidence(phi, shifts, smoother)
         middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
-        gradient = (up - down) / (2 * STEP)
-        hessian = np.diag((up + down - 2 * middle) / STEP**2)
-        cross = (pairs - up[first] - up[second] + middle) / STEP**2
-        hessian[first, second] = hessian[second, first] = cross
         precision = 1 / self.sd**2
+        gradient = phi * precision - (up - down) / (2 * STEP)
+        diagonal = precision - (up + down - 2 * middle) / STEP**2
+        if whole or self._whole is None:
+            hessian = np.diag(diagonal)
+            hessian[first, second] = hessian[second, first] = -(pairs - up[first] - up[second] + middle) / STEP**2
+            self._whole, self._age = hessian, 0
+        else:
+            hessian, self._age = _with_diagonal(self._whole, diagonal), self._age + 1
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
-        return -value, -(gradient - phi * precision), -(hessian - np.diag(precision))
+        return -value, gradient, hessian
 
-    def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor) -> list[SharedMeans]:
-        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P), of transitions and of emissions."""
+    def _evidence(self, phi: np.ndarray, shifts: np.ndarray, smoother: GaussianSmoother) -> np.ndarray:
+        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over the same posterior; ``BLOCK`` sets at once."""
+        slopes = self._slopes_of_means(phi, smoother)
+        found = []
+        for some in np.array_split(shifts, -(-len(shifts) // BLOCK)):
+            path = smoother.path.expand(len(some), *smoother.path.shape)
+            covariance = smoother.covariance().expand(len(some), -1, -1, -1)
+            moved, seen = (self._shared_means(phi, some, each) for each in slopes)
+            linear = fit_linear(self.at(phi + some), self.observations, path, covariance, moved, seen)
+            found.append(solve(linear).log_evidence + linear.log_constant)
+        return np.concatenate(found)
+
+    def _slopes_of_means(self, phi: np.ndarray, smoother: GaussianSmoother) -> list[np.ndarray]:
+        """Which parameters move the means of transitions, and of emissions: (P, 1 + free), not 0 where they do."""
         each = np.zeros((1 + len(self.free), len(phi)))
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP
-        found = []
-        for moving in moved_means(self.at(phi + each), path[: len(each)], covariance[: len(each)]):
-            moves = each.T @ np.where(moving, 1 / STEP, 0.0)
-            fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
-            found.append(SharedMeans(self.at(phi + fewer), torch.as_tensor(number)))
-        return found
+        path = smoother.path.expand(len(each), *smoother.path.shape)
+        covariance = smoother.covariance().expand(len(each), -1, -1, -1)
+        moving = moved_means(self.at(phi + each), path, covariance)
+        return [each.T @ np.where(those, 1 / STEP, 0.0) for those in moving]
+
+    def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, moves: np.ndarray) -> SharedMeans:
+        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P)."""
+        fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
+        return SharedMeans(self.at(phi + fewer), torch.as_tensor(number))
+
+
+def _with_diagonal(hessian: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """A Hessian (P, P) with another ``diagonal`` (P,) and its own correlations."""
+    ratio = np.sqrt(np.abs(diagonal) / np.maximum(np.abs(np.diagonal(hessian)), np.finfo(float).tiny))
+    found = ratio[:, None] * hessian * ratio
+    np.fill_diagonal(found, diagonal)
+    return found
 
 
 def fit(
@@ -275,6 +316,7 @@ def fit(
         if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
             raise StopIteration  # nothing that the data could tell, down to a tiny trust region
 
+    widening = max(1.0, (len(objective.sd) / 5) ** 0.5)  # a step of one size in each parameter
     result = minimize(
         objective.value,
         np.zeros(len(objective.sd)),
@@ -284,8 +326,8 @@ def fit(
         callback=report,
         options={
             "maxiter": max_iterations,
-            "initial_trust_radius": 0.5,
-            "max_trust_radius": 1.5,
+            "initial_trust_radius": 0.5 * widening,
+            "max_trust_radius": 1.5 * widening,
             "gtol": 0.3,
         },
     )
