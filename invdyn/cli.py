@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from . import blind_commands, camera_commands, film_commands, model_commands, robot_commands
+from . import blind_commands, camera_commands, excite_commands, film_commands, model_commands, robot_commands
 from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
 from .inference_options import Inference, kinematic_arguments, open_workers
@@ -326,5 +326,5 @@ def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
     )
 
 
-for commands in (robot_commands, film_commands, camera_commands, model_commands, blind_commands):
+for commands in (robot_commands, excite_commands, film_commands, camera_commands, model_commands, blind_commands):
     commands.register(command)

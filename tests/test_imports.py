@@ -104,6 +104,7 @@ STAGES = {
         "catalogue",
         "problem",
         "regression",
+        "excite",
         "sensitivity",
         "prediction",
         "hypotheses",

@@ -122,7 +122,7 @@ def linear_effects(
     free = np.ones(len(values), dtype=bool)
     if passive and len(links):
         free[-len(links) :] = _but_the_largest(links, np.concatenate([each.ravel() for each in own]))
-    labels += [(INERTIAL, link, name, of) for name, of in _link_names(body, own) for link in body.link_names]
+    labels += [(INERTIAL, link, name, of) for name, of in link_names(body, own) for link in body.link_names]
     kinds, places, names, units = zip(*labels, strict=True)
     return LinearEffects(
         low_passed(motion.torque - required, motion, cutoff),
@@ -184,7 +184,7 @@ def _filed(body: Any, motion: MeasuredMotion, sign: np.ndarray) -> np.ndarray:
     return taken
 
 
-def _link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
+def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
     """Names and units of a link's columns, in the order of :func:`.regressors.link_regressors`."""
     axes = [("",), AXES, NAMES] if body.dimensions == 3 else [("",), ("",), ("",)]
     words = (("mass", "kg"), ("first moment", "kg·m"), ("second moment", "kg·m²"))

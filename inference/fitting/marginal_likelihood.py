@@ -243,7 +243,7 @@ class Objective(Generic[M]):
         return -value, gradient, hessian
 
     def _evidence(self, phi: np.ndarray, shifts: np.ndarray, smoother: GaussianSmoother) -> np.ndarray:
-        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over the same posterior; ``BLOCK`` sets at once."""
+        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over one posterior, ``BLOCK`` sets at once."""
         slopes = self._slopes_of_means(phi, smoother)
         found = []
         for some in np.array_split(shifts, -(-len(shifts) // BLOCK)):

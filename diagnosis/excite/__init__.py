@@ -1,0 +1,1 @@
+"""What to record next: motions that tell most of what a robot's file may lack."""

@@ -1,0 +1,141 @@
+"""How much a motion is expected to tell of what a robot's file may lack.
+
+Effects that torque is linear in, β ~ N(0, S²), are seen along a motion in torques with noise of σ_j N·m a row. The
+expected information about them, in nats, is the mutual information of a linear Gaussian model (Lindley 1956; Bayesian
+D-optimality: Chaloner & Verdinelli 1995),
+
+    I = ½ log |1 + S Xᵀ W X S|,     posterior covariance S (1 + S Xᵀ W X S)⁻¹ S
+
+with W of independent rows: torque's errors are remembered for 1/20 s, so that a second counts for 20 of them. Where
+some effects are asked about, the others are not known either: I is that of all, less that of the others alone.
+
+    viscous q̇     Coulomb tanh(q̇/v)     rotor q̈     spring q − q̄     constant 1     gain τ_file     link Y(q, q̇, q̈)
+
+S is a tenth of the torque that a joint's load is, at its limit of speed, acceleration and half of its range; of a
+link's mass, moment and inertia .3 of what the file has.
+
+Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.excite.limits import MotionLimits
+from invdyn.diagnosis.excite.trajectory import Path
+from invdyn.diagnosis.problem.regressors import nominal_link_numbers, unit_numbers
+from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, link_names
+from invdyn.diagnosis.rules import DEFAULT, FIXED
+from invdyn.models import Body
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.effects.scale import typical_torque
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number of an effect: `effect`, `place`, `name`, `unit`, and the sd `size` of its prior."""
+
+    effect: str
+    place: str
+    name: str
+    unit: str
+    size: float
+
+
+class Information:
+    """What motions of a body tell, in ``noise`` (K,) N·m of its torques; by default a fiftieth of the load.
+
+    ``about`` names effects that are asked about, keys of ``JOINT_KINDS`` or ``INERTIAL``; all if none.
+    """
+
+    def __init__(
+        self, body: Body, limits: MotionLimits, about: Sequence[str] = (), noise: np.ndarray | float | None = None
+    ):
+        self.dynamics, self.numbers, self.joint_names = dynamics_for(body), body.parameters(), body.joint_names
+        self.units = unit_numbers(body)
+        load = typical_torque(self.dynamics, self.numbers).double()
+        self.load = torch.maximum(load, FIXED.excite_least_load * load.max())
+        given = FIXED.excite_noise * self.load if noise is None else torch.as_tensor(noise, dtype=torch.float64)
+        self.noise = given.expand(len(self.load))
+        self.slow = FIXED.excite_slow * torch.as_tensor(limits.speed)
+        self.columns = self._columns(body, limits)
+        self.about = torch.tensor([not about or each.effect in about for each in self.columns])
+
+    def _columns(self, body: Body, limits: MotionLimits) -> list[Column]:
+        reference = {
+            "viscous_friction": limits.speed,
+            "coulomb_friction": np.ones_like(limits.speed),
+            "armature": limits.acceleration,
+            "joint_stiffness": np.maximum(limits.half, 1e-3),
+            "constant_torque": np.ones_like(limits.speed),
+            "actuator_gain": self.load.numpy(),
+        }
+        found = []
+        for kind, ((name, unit), *_) in JOINT_KINDS.items():
+            sizes = FIXED.excite_share * self.load.numpy() / reference[kind]
+            found += [Column(kind, j, name, unit, float(s)) for j, s in zip(body.joint_names, sizes, strict=True)]
+        own = nominal_link_numbers(body)
+        sizes = []
+        for each in own:
+            floor = FIXED.min_link_share * max(float(np.abs(each).max()), 1e-12)
+            sizes += list(FIXED.excite_link_share * np.maximum(np.abs(each).ravel(), floor))
+        labels = [(link, name, unit) for name, unit in link_names(body, own) for link in body.link_names]
+        return found + [Column(INERTIAL, *label, float(s)) for label, s in zip(labels, sizes, strict=True)]
+
+    def torque(self, path: Path) -> Tensor:
+        """What the file asks for along a motion, (R, K) N·m; differentiable."""
+        return self.dynamics.inverse(*path, self.numbers)
+
+    def precision(self, path: Path, seconds: float) -> Tensor:
+        """S Xᵀ W X S (P, P) of a motion; differentiable."""
+        q, qd, qdd = path
+        rigid = self.torque(path)
+        own = [qd, (qd / self.slow).tanh(), qdd, q - q.mean(0), torch.ones_like(q), rigid]
+        X = torch.cat([torch.diag_embed(each).movedim(-1, 0) for each in own])  # (6 K, R, K)
+        if self.units is not None:
+            X = torch.cat([X, self._links(path)])
+        size = torch.tensor([each.size for each in self.columns], dtype=torch.float64)
+        count = DEFAULT.residual.residual_decay * seconds / len(q)  # independent rows that one stands for
+        X = (X * size[:, None, None] * count**0.5 / self.noise).flatten(1)
+        return X @ X.T
+
+    def _links(self, path: Path) -> Tensor:
+        """Y of the links' numbers, (P, R, K); see :func:`.regressors.link_regressors`."""
+        K = path.q.shape[-1]
+        found = self.dynamics.inverse(*path, self.units)
+        links = self.units.mass.shape[-1]
+        found = found.reshape(-1, links, len(path.q), K)
+        n = 1 if self.dynamics.space == 2 else 3
+        moments = found[1 : 1 + n] - found[:1]  # at a metre a kilogram has moments, which are taken from it
+        return torch.cat([found[:1], moments, found[1 + n :]]).flatten(0, 1)
+
+    def nats(self, precision: Tensor) -> Tensor:
+        """Expected information about what is asked."""
+        whole = _log_det(precision)
+        other = ~self.about
+        return 0.5 * (whole - _log_det(precision[other][:, other]) if other.any() else whole)
+
+    def sds(self, precision: Tensor) -> np.ndarray:
+        """(P,) posterior sds, of the columns' own units."""
+        A = precision.detach() + torch.eye(len(precision), dtype=torch.float64)
+        share = torch.linalg.inv(A).diagonal().clamp_min(0).sqrt()
+        return np.array([each.size for each in self.columns]) * share.numpy()
+
+
+def _log_det(precision: Tensor) -> Tensor:
+    return torch.linalg.cholesky(precision + torch.eye(len(precision), dtype=torch.float64)).diagonal().log().sum() * 2
+
+
+KINDS = (*JOINT_KINDS, INERTIAL)
+"""Effects that columns are of."""
+SAME = {"payload": INERTIAL, "stribeck_friction": "coulomb_friction", "load_friction": "coulomb_friction"}
+"""Effects of the catalogue that torque is nearly linear in, by the kind that tells of them."""
+
+
+def kinds_of(names: Sequence[str]) -> list[str]:
+    """Which kinds of columns tell of effects of the catalogue, by their ``names``."""
+    found = [SAME.get(name, name) for name in names]
+    return [kind for kind in KINDS if kind in found]
