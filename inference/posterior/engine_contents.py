@@ -173,12 +173,13 @@ def contact_lines(contacts: ContactForces) -> list[str]:
         stands = (np.median(one, 0) > 1.0) & (np.median(other, 0) > 1.0)
         if not stands.any():
             continue
-        single = float(np.minimum(one.std(0), other.std(0))[stands].mean())
-        together = float((one + other).std(0)[stands].mean())
+        # Means over the rows: momentum knows a sum's, and of single rows' forces next to nothing.
+        one, other = one[:, stands].mean(1), other[:, stands].mean(1)
+        single, together = float(min(one.std(), other.std())), float((one + other).std())
         if single > SPLIT * max(together, 1e-9):
             lines.append(
                 f"while both touch, the motion does not tell how {contacts.names[i]} and {contacts.names[j]} share the "
-                f"load: each ± {1.645 * single:.2g} N (90 %), their sum ± {1.645 * together:.2g} N"
+                f"load: each ± {1.645 * single:.2g} N (90 %) on average, their sum ± {1.645 * together:.2g} N"
             )
     return lines
 
