@@ -13,6 +13,7 @@ from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.fitting.scales_on_linearisation import fit_scales
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS
+from invdyn.inference.posterior.engine_contents import hidden
 from invdyn.inference.posterior.engine_problem import EngineProblem, engine_problem
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Scene, TorqueProcess
@@ -98,9 +99,12 @@ def infer_engine(
         record["in_doubt"] = [doubt]
     places = {"executor": executor} if method in DISTRIBUTED else {}
     fitted = EngineProblem(model, problem.observations, recording, problem.truth, problem.reasons, name=problem.name)
-    return METHODS[method](
+    idata = METHODS[method](
         fitted, options=options, start=smoother.path, seed=seed, settings=record, progress=progress, **places
     )
+    if lines := hidden(model, idata):
+        idata.attrs["hidden"] = "\n".join(lines)
+    return idata
 
 
 def free_scales(problem: EngineProblem, given: Sequence[str]) -> list[Free]:

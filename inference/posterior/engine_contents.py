@@ -7,28 +7,34 @@ posterior             torque [chain, draw, time, joint] N·m (N of slides), the 
                       contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch
 posterior_predictive  position, angle, sensor with observation noise
 observed_data         the same, as recorded
-constant_data         the model's parameters; skeleton
+constant_data         the model's parameters; skeleton; ground [contact], 1 for contacts with what does not move
 attributes            "engine": why MuJoCo's; "hidden": what the motion does not tell, a line each
 
 Shapes: paths (M, R, T, D).
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
+import arviz as az
 import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
 from invdyn.models.bodies.protocol import AXES
-from invdyn.models.engine.contacts import ContactForces, contact_forces
+from invdyn.models.engine.contacts import contact_forces
 from invdyn.models.engine.model import EngineModel
 from invdyn.models.engine.scene import Scene, engine
 from invdyn.recordings import Recording, Truth
 
 UNTOLD = 0.6
 """Posterior sd, as a share of the prior's, from which on the motion says next to nothing of a number."""
+ACTS = 1.0
+"""N, median force of a contact from which on it acts in a row."""
+PRIOR_DRAWS = 4000
 SPLIT = 3.0
 """Times as uncertain as their sum that single forces are where their split is not told."""
 
@@ -87,9 +93,6 @@ def engine_contents(
         "model": "dynamic",
         "engine": f"dynamics by MuJoCo: {'; '.join(reasons)}" if reasons else "dynamics by MuJoCo",
     }
-    lines = [*untold(model, z.numpy()), *contact_lines(contacts)]
-    if lines:
-        attributes["hidden"] = "\n".join(lines)
     constants: Variables = {
         name: ([f"{name}_{axis}" for axis in range(value.ndim)], value.detach())
         for name, value in model.parameters.items()
@@ -97,6 +100,8 @@ def engine_contents(
     if skeleton := _skeleton(scene):
         constants["skeleton"] = (["edge", "end"], np.array(skeleton))
     constants |= _truth(scene, truth)
+    if contacts.pairs:
+        constants["ground"] = (["contact"], contacts.ground.astype(np.int8))
     coords: dict[str, Any] = {
         "time": recording.time,
         "joint": list(scene.joint_names),
@@ -140,14 +145,23 @@ def generalised_forces(model: EngineModel, paths: np.ndarray) -> tuple[np.ndarra
     return out.reshape(*shape, -1), own.reshape(*shape, -1)
 
 
-def untold(model: EngineModel, z: np.ndarray) -> list[str]:
-    """A line for each driven number of which the motion says next to nothing, from draws (M, R, T, Z)."""
-    prior = model.initial()
-    base = getattr(prior, "base_dist", None)
-    sd = base.scale if base is not None else prior.covariance_matrix.diagonal(dim1=-2, dim2=-1).sqrt()
-    sd = sd.detach().reshape(-1, sd.shape[-1])[0, : model.inputs.size].numpy()
-    own = z[..., : model.inputs.size].reshape(-1, *z.shape[-2:-1], model.inputs.size).std(0)
-    share = np.median(own, 0) / sd
+def hidden(model: EngineModel, idata: az.InferenceData) -> list[str]:
+    """Lines on contacts, and on what the motion does not tell, from equally weighted draws."""
+    posterior = idata["posterior"].stack(sample=DRAWS, create_index=False)
+    lines = untold(model, posterior["drive"].transpose("sample", "time", "input").values)
+    if "contact_force" in posterior:
+        force = posterior["contact_force"].transpose("sample", "time", "contact", "axis").values
+        names = [str(name) for name in posterior["contact"].values]
+        lines += contact_lines(force, names, idata["constant_data"]["ground"].values > 0)
+    return lines
+
+
+def untold(model: EngineModel, drive: np.ndarray) -> list[str]:
+    """A line for each driven number of which the motion says next to nothing, from draws (N, T, K)."""
+    with seeded(0):
+        z = model.initial().expand(torch.Size([PRIOR_DRAWS])).sample()
+    prior = model.inputs.values(z[:, : model.inputs.size].double().numpy()).std(0)
+    share = np.median(drive.std(0), 0) / prior
     return [
         f"the motion hardly tells {name}: its band is {100 * part:.0f} % as wide as before anything was seen"
         for name, part in zip(model.inputs.names, share, strict=True)
@@ -155,22 +169,20 @@ def untold(model: EngineModel, z: np.ndarray) -> list[str]:
     ]
 
 
-def contact_lines(contacts: ContactForces) -> list[str]:
-    """What is known of each contact with the ground, and whether the split among them is not told."""
+def contact_lines(force: np.ndarray, names: Sequence[str], ground: np.ndarray) -> list[str]:
+    """What is known of each contact (N, T, P, 3), and whether the split among those with the ground is not told."""
     lines = []
-    size = np.linalg.norm(contacts.force, axis=-1)  # (N, T, P)
-    for k, name in enumerate(contacts.names):
-        acting = np.median(size[..., k], 0) > 1.0
+    size = np.linalg.norm(force, axis=-1)  # (N, T, P)
+    for k, name in enumerate(names):
+        acting = np.median(size[..., k], 0) > ACTS
         if acting.any():
             mean, width = size[:, acting, k].mean(), np.ptp(np.quantile(size[:, acting, k], [0.05, 0.95], 0), 0).mean()
             lines.append(
                 f"contact {name}: {mean:.3g} N ± {width / 2:.2g} (90 %) in {100 * acting.mean():.0f} % of rows"
             )
-    ground = np.flatnonzero(contacts.ground)
-    both = [(i, j) for i in ground for j in ground if i < j]
-    for i, j in both:
-        one, other = (contacts.force[..., k, 2] for k in (i, j))
-        stands = (np.median(one, 0) > 1.0) & (np.median(other, 0) > 1.0)
+    for i, j in combinations(np.flatnonzero(ground), 2):
+        one, other = (force[..., k, 2] for k in (i, j))
+        stands = (np.median(one, 0) > ACTS) & (np.median(other, 0) > ACTS)
         if not stands.any():
             continue
         # Means over the rows: momentum knows a sum's, and of single rows' forces next to nothing.
@@ -178,8 +190,8 @@ def contact_lines(contacts: ContactForces) -> list[str]:
         single, together = float(min(one.std(), other.std())), float((one + other).std())
         if single > SPLIT * max(together, 1e-9):
             lines.append(
-                f"while both touch, the motion does not tell how {contacts.names[i]} and {contacts.names[j]} share the "
-                f"load: each ± {1.645 * single:.2g} N (90 %) on average, their sum ± {1.645 * together:.2g} N"
+                f"while both touch, the motion does not tell how {names[i]} and {names[j]} share the load: each ± "
+                f"{1.645 * single:.2g} N (90 %) on average, their sum ± {1.645 * together:.2g} N"
             )
     return lines
 
