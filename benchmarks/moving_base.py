@@ -64,13 +64,11 @@ def jumping(t, rng):
     acceleration += pulse(begin, push, 2 * v / push)
     leave = begin + push
     flying = (fine > leave) & (fine < leave + air)
-    edge = 0.02
     acceleration += np.where(flying, -g, 0.0)
     acceleration += pulse(leave + air, land, 2 * v / land)
     acceleration = np.convolve(np.pad(acceleration, 20, "edge"), np.ones(41) / 41, "valid")  # what flesh lets through
     speed = np.cumsum(acceleration) * 1e-3
     up = np.cumsum(speed) * 1e-3
-    assert edge
     return np.stack([0.05 * t, np.interp(t, fine, up), 0.0 * t], -1)
 
 

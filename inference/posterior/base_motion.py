@@ -52,6 +52,8 @@ USUAL, SPREAD, SHORTEST = 0.15, 0.7, 2.0
 """Prior of ℓ, s and sd of its logarithm: steps of people, vehicles. And the least ℓ, in rows: what changes faster than
 rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
+MIN_ROWS, MOST_ROWS = 10, 1200
+"""In which a base must be seen, and that its process is looked for in."""
 MISFIT, EXPLAINED = 0.05, 0.3
 """Of a length, and of a misfit."""
 
@@ -132,6 +134,10 @@ def hold_base(recording: Recording, body: ArticulatedBody) -> Base:
         return Base(
             recording, line=f"base: not tracked, taken to be at rest at ({where}) {unit}, as the body's file says"
         )
+    if (rows := int(np.isfinite(recording.keypoint(name)).all(-1).sum())) < MIN_ROWS:
+        return Base(
+            recording, line=f"base: {name!r} is seen in {rows} rows, too few for a motion, and taken to be at rest"
+        )
     found = base_motion(recording.time, recording.keypoint(name), float(np.linalg.norm(body.gravity)))
     size = f"noise {found.noise:.2g} {unit}"
     if isinstance(recording, Filmed):
@@ -202,20 +208,21 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
         (SCALES * gravity, LENGTHS, NOISES * jitter),
         (FINER**2, FINER, FINER),
     ]
+    part = _busiest(about)
     for grid in grids:
         tried = np.array(list(product(*grid)))[:, None] * chosen  # (G, d, 3)
         tried[..., 1] = np.maximum(tried[..., 1], shortest)
         scale, length, noise = (torch.as_tensor(each.copy()) for each in np.moveaxis(tried, -1, 0))
         values = {"base.scale": scale, "base.lengthscale": length}
         values |= {name: value.expand_as(scale) for name, value in fixed.items()}
-        evidence, _ = filtered(base, values, time, about, noise, smooth=False)
+        evidence, _ = filtered(base, values, time[part], about[part], noise, smooth=False)
         prior = -0.5 * (np.log(length.numpy() / USUAL) / SPREAD) ** 2
         best = np.nanargmax(evidence + prior, axis=0)
         chosen, own = tried[best, range(axes)], evidence[best, range(axes)]
     found = {"base.scale": chosen[:, 0], "base.lengthscale": chosen[:, 1], **wide}
     tensors = {name: torch.as_tensor(value.copy()) for name, value in found.items()}
     _, path = filtered(base, tensors, time, about, torch.as_tensor(chosen[:, 2].copy()))
-    still = _at_rest(about, wide["base.place_scale"], jitter)
+    still = _at_rest(about[part], wide["base.place_scale"], jitter)
     gain = float(own.sum() - still)
     states = base.parted(torch.as_tensor(path))
     shift, acceleration = states[0].numpy(), states[2].numpy()
@@ -224,6 +231,14 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
     size = float(chosen[:, 2].max())
     moves = gain > AHEAD and (felt > FELT * gravity or moved > SHIFTED * size)
     return BaseMotion(moves, place, size, gain, felt, moved, found, path)
+
+
+def _busiest(track: np.ndarray) -> slice:
+    """Of a long track (T, d) the ``MOST_ROWS`` rows among which it moves most; they tell its process well enough."""
+    starts = range(0, max(len(track) - MOST_ROWS, 0) + 1, MOST_ROWS // 2)
+    size = [np.nansum(np.nanvar(track[start : start + MOST_ROWS], axis=0)) for start in starts]
+    first = starts[int(np.argmax(size))]
+    return slice(first, first + MOST_ROWS)
 
 
 def _speed(time: np.ndarray, track: np.ndarray) -> np.ndarray:
