@@ -3,12 +3,14 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from robot_xml import play, robot
 
 from invdyn.diagnosis.diagnose import diagnose, save
 from invdyn.diagnosis.report.numbers import handy
 from invdyn.diagnosis.report.sentences import details
+from invdyn.diagnosis.write_back.ensemble import write_ensemble
 from invdyn.diagnosis.write_back.write_back import check_write_back, write_back
 from invdyn.models import Body
 from invdyn.models.effects import EFFECTS
@@ -46,6 +48,13 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     replayed = next(sentence for sentence in details(written) if "replayed a withheld recording" in sentence)
     said_of = [f"by {handy(angles[which], 'rad')}" for which in ("after", "before")]
     assert replayed.index(said_of[0]) < replayed.index("with the corrected file") < replayed.index(said_of[1])
+    (tmp_path / "robots").mkdir()
+    (number,) = write_ensemble(found, file, body, tmp_path / "robots", 200)["numbers"]
+    assert (number["place"], number["quantity"]) == ("elbow", "damping")
+    # 200 draws of the interval's own Gaussian
+    width = change["interval_90"][1] - change["interval_90"][0]
+    assert number["mean"] == pytest.approx(change["to"], abs=4 * number["sd"] / np.sqrt(200))
+    assert number["range_90"][1] - number["range_90"][0] == pytest.approx(width, rel=0.25)
 
 
 def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):
