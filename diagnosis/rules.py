@@ -264,8 +264,8 @@ class CheckRules:
     )
     max_delay: float = number(0.1, "s", "from a command to its torque; longer ones are a clock's", "stated")
     max_lead: float = number(1.5, "rows", "by which a command may follow its motion, by rounding of times", "chosen")
-    max_friction_share: float = number(
-        0.5, "1", "of a joint's torque, that friction beside the file's takes once a delay is put right", "chosen"
+    max_damping_share: float = number(
+        0.5, "1", "of a joint's torque, that damping beside the file's takes once a delay is put right", "chosen"
     )
     delay_grid: tuple[int, ...] = number(
         (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 90), "rows", "delays that are tried, both ways", "effort"

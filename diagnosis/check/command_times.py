@@ -92,8 +92,8 @@ def late_commands(
         if (after := left.missed(group)) > limits.max_joint_misfit:
             continue
         # a servo's target that leads more asks for more damping, whatever the reason
-        taken = fit.by_joints(motion, left.values)
-        if share(taken, left.required, group) > limits.max_friction_share:
+        taken = fit.by_damping(motion, left.values)
+        if share(taken, left.required, group) > limits.max_damping_share:
             continue
         before = float(np.linalg.norm(fit.left_by_values(motion, left.values)) / np.linalg.norm(left.required))
         worth.append((left.misfit, LateCommands(kind, group, words, turn, value, before, after, given)))
