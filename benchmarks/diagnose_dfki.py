@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dfki_torque import FRICTION, GEAR, ROTOR
 from scipy.signal import butter, filtfilt
+from sensor_cases import FRICTION, GEAR, ROTOR
 
 from invdyn.diagnosis import diagnose, save
 from invdyn.diagnosis.report.sentences import verdict

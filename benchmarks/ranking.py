@@ -3,7 +3,7 @@
     simulated   the paper's planar arm (200 rows, .03 s, keypoints to .22 m), its own parameters known
     short       its first 25 rows, which NUTS can be waited for
     film        the DFKI robot's pixels, torque hidden, parameters fitted, up to 4.4 s (132 frames; then its controller
-                chatters as no camera could show); truth: its motors' torque less friction, as in dfki_torque.py
+                chatters as no camera could show); truth: its motors' torque less friction, as in sensor_cases.py
     human       the paper's human arm, frames 50 to 250, parameters and lengths fitted; no truth
 
 Columns as :mod:`invdyn.inference.compare` has them; the log score is over the last fifth of the rows, with parameters
@@ -58,9 +58,9 @@ def simulated(rows: int) -> tuple:
 
 
 def film() -> tuple:
-    from dfki_torque import case
+    from sensor_cases import film as case
 
-    found = case("film", Body.from_toml(BODIES / "dfki_design_a0.toml"))
+    found = case()
     recording = found.recording.select(0, CALM)
     return recording, found.body, {"truth": found.truth.at(recording.time), "hide_torque": True}
 

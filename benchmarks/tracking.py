@@ -4,7 +4,7 @@ dfki: the robot's swing-up. 100 pictures that `invdyn label` would choose take t
 (where those call themselves reliable); a network is trained on them; then one round of relabelling takes 25 pictures
 more, those whose tracks surprise the arm's model most. Errors are against the published tracks of all other reliable
 pictures. Torques are inferred from t = 0 to 5 s (or 4.45 s, where the controller begins to chatter), hidden, and
-compared with the measured ones less friction, as in `dfki_torque.py`.
+compared with the measured ones less friction, as in `sensor_cases.py`.
 
 people: arms of the walker (four cameras) and of sports2d by BlazePose, against MediaPipe's own tracks of these films.
 
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dfki_torque import case
+from sensor_cases import film as recorded_film
 
 from invdyn.inference import infer, pooled
 from invdyn.models import Body
@@ -67,13 +67,13 @@ def calibration(confidence: np.ndarray, error: np.ndarray) -> None:
             print(f"| {low:.2f} to {high:.2f} | {here.sum()} | {said:.3f} | {right:.3f} |", flush=True)
 
 
-def torques(recording: Recording, body: Body, method: str) -> str:
+def torques(recording: Recording, method: str) -> str:
     """RMSE against the measured ones less friction, in all five seconds and before the chatter."""
-    film = case("film", body)
+    film = recorded_film()
     recording = recording.at(np.isin(recording.time, film.recording.time))
     idata = infer(recording, film.body, method=method, family="student_t", hide_torque=True, seed=0)
     mean = pooled(idata)["torque"].transpose("sample", "time", "joint").values.mean(0)
-    squares = (mean - film.truth.torque) ** 2
+    squares = (mean - film.torque) ** 2
     parts = (squares, squares[recording.time < CHATTER])
     return " | ".join("{:.3f} / {:.3f}".format(*np.sqrt(part.mean(0))) for part in parts)
 
@@ -82,7 +82,7 @@ def dfki(steps: int, method: str, seed: int) -> None:
     rows, labels, reliable = published()
     film = Film(DATA / "dfki_double_pendulum/video/experiment_swingup_pendubot_tvlqr.m4v")
     body = Body.from_toml(files("invdyn.models") / "bodies" / "dfki_design_a0.toml")
-    table = [f"| published | | | | | | {torques(metres(rows, labels.points), body, method)} |"]
+    table = [f"| published | | | | | | {torques(metres(rows, labels.points), method)} |"]
     unlabelled = np.setdiff1d(np.arange(film.expected), labels.frames[reliable])  # a person would skip these, too
     chosen = set(different(film, 100, unlabelled.tolist()))
     for turn in ("100 labels", "one round of relabelling"):
@@ -101,7 +101,7 @@ def dfki(steps: int, method: str, seed: int) -> None:
         elbow, tip = np.median(error[held_out], 0)
         table.append(
             f"| {turn} ({mine.sum()}) | {training:.0f} | {pace:.0f} | {held_out.sum()} | {elbow:.2f} / {tip:.2f} | "
-            f"{np.mean(error[held_out] > FAR):.2%} | {torques(metres(rows, points), body, method)} |"
+            f"{np.mean(error[held_out] > FAR):.2%} | {torques(metres(rows, points), method)} |"
         )
         longer = body.with_values(length=[0.3, 0.22])  # the tracked disc sits beyond the link's end
         options = {"method": "laplace", "family": "student_t", "hide_torque": True, "seed": 0}

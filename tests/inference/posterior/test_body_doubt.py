@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
-from invdyn.inference import infer, mechanics, pooled
+from invdyn.cli import app
+from invdyn.inference import infer, load_posterior, mechanics, pooled
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior import body_doubt
 from invdyn.inference.posterior.initialise import arm_problem
@@ -94,6 +96,26 @@ def test_each_draw_keeps_its_motion_under_its_own_body(file):
     stated.posterior = found.posterior.drop_vars(numbers).rename(stated_torque="torque")
     np.testing.assert_allclose(own, mechanics(stated, body)["acceleration"].values, atol=1e-9)
     assert found.posterior["mass"].dims == ("chain", "draw", "link")
+
+
+@pytest.mark.long
+def test_the_command_line_says_it_and_takes_a_file_as_exact(file, tmp_path):
+    recording = of_encoders(12)
+    table = np.column_stack([recording.time, recording.angles])
+    names = ",".join(f"{name}_angle" for name in TREE.joint_names)
+    np.savetxt(tmp_path / "rec.csv", table, delimiter=",", header=f"time,{names}", comments="")
+    asked = ["infer", str(tmp_path / "rec.csv"), "--body", str(file), "--method", "laplace"]
+    asked += ["--out", str(tmp_path / "posterior.nc")]
+    said = CliRunner().invoke(app, asked)
+    assert said.exit_code == 0, said.output
+    assert "does not say how well its numbers are known" in said.output
+    assert "stated_torque" in load_posterior(tmp_path / "posterior.nc").posterior
+    exact = CliRunner().invoke(app, [*asked, "--set", "exact_body=yes"])
+    assert exact.exit_code == 0, exact.output
+    assert "how well" not in exact.output
+    wrong = CliRunner().invoke(app, [*asked, "--set", "exact_body=perhaps"])
+    assert wrong.exit_code == 2
+    assert "expected yes or no" in wrong.output
 
 
 @pytest.mark.parametrize("dimensions", BODIES)
