@@ -1,7 +1,7 @@
 """Real arms whose joint torques a sensor measured, or physics tells: what each saw, its body, and the truth.
 
-    kuka         a KUKA iiwa from its seven encoders, 60 s; its joint-torque sensors, whose signs are opposite
-    keypoints    its first 20 s from keypoints made of its kinematics, two a link, with 2 mm of noise
+    kuka         a KUKA iiwa from its seven encoders, the first 20 s; its joint-torque sensors, whose signs are opposite
+    keypoints    the first 10 s from keypoints made of its kinematics, two a link, with 2 mm of noise
     pendulum     three links from 16 markers, once a hand has let go: no torque but the bearings' friction
     dfki         two joints from keypoints made of the encoders, 60 frames/s and 3 mm; motor torque less friction
     film         the same arm from the pixels tracked in its film, 30 frames/s
@@ -81,7 +81,7 @@ def frame_means(times: np.ndarray, source: np.ndarray, values: np.ndarray, width
 
 
 # -- KUKA ------------------------------------------------------------------------------------------------------
-def kuka(trial: int, seconds: float = 60.0) -> Case:
+def kuka(trial: int, seconds: float = 20.0) -> Case:
     body = Body.load(folder("delft_kuka") / "kuka.xml")
     table = np.genfromtxt(folder("delft_kuka") / f"trial{trial}.csv", delimiter=",", skip_header=1)
     rows = table[table[:, 0] < seconds][:: FILE_RATE["kuka"] // KUKA_RATE]
@@ -92,7 +92,7 @@ def kuka(trial: int, seconds: float = 60.0) -> Case:
     return Case(f"kuka {trial}", recording, body, torque)
 
 
-def keypoints(trial: int, seconds: float = 20.0, noise: float = 0.002) -> Case:
+def keypoints(trial: int, seconds: float = 10.0, noise: float = 0.002) -> Case:
     case = kuka(trial, seconds)
     links = [
         replace(link, sites={f"{link.name}_{which}": place for which, place in MARKED.items()})
@@ -175,15 +175,17 @@ def arm26() -> Case:
 
 
 def made(name: str) -> Case:
-    """The case of a name such as "kuka 1", "keypoints 2", "pendulum 3", "dfki 00", "film" or "arm26"."""
-    kind, _, which = name.partition(" ")
+    """The case of a name such as "kuka 1", "keypoints 2", "pendulum 3", "dfki 00", "film" or "arm26".
+
+    A third word says of how many seconds: "kuka 1 60" is all of it.
+    """
+    kind, *which = name.split()
+    makers: dict[str, Any] = {"film": film, "arm26": arm26, "kuka": kuka, "keypoints": keypoints, "pendulum": pendulum}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # what files have besides plays no part here
         if kind == "dfki":
-            return dfki(which)
-        if kind in ("film", "arm26"):
-            return {"film": film, "arm26": arm26}[kind]()
-        return {"kuka": kuka, "keypoints": keypoints, "pendulum": pendulum}[kind](int(which))
+            return dfki(*which)
+        return makers[kind](*map(int, which))
 
 
 NAMES = (

@@ -8,7 +8,7 @@ the prior of :mod:`invdyn.inference.posterior.body_doubt`, and by friction, with
 Y by differences; φ are the lean of the base, masses and centres of mass. The table has the rms of what is left, N·m,
 joint by joint, with each group alone and with all together; then what was found, where it is beyond two prior sds.
 
-    INVDYN_DATA=… python benchmarks/what_is_off.py ["kuka 1" "pendulum 3" …]
+    INVDYN_DATA=… python benchmarks/what_is_off.py ["kuka 1 60" "pendulum 3" …]
 """
 
 import argparse
@@ -86,7 +86,7 @@ def explained(case: Case) -> tuple[dict[str, np.ndarray], list[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", default=["kuka 1", "kuka 2", "pendulum 3", "pendulum 4"])
+    parser.add_argument("names", nargs="*", default=["kuka 1 60", "kuka 2 60", "pendulum 3", "pendulum 4"])
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore", category=UserWarning)
     print(f"| recording | joint | {' | '.join(('nothing', *GROUPS))} | found |\n|{'---|' * (len(GROUPS) + 4)}")
