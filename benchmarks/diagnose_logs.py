@@ -1,7 +1,7 @@
 """What the default budget finds in real logs: DFKI's nine and IBM's ten swings, each diagnosed by itself.
 
-A DFKI log is as in `diagnose_dfki.py` (encoders at 100 rows/s under the measured torque, the rigid part of the lab's
-model_2.0), a swing as in `diagnose_real.py` (3 s, passive). Every recording has a process of its own, so that its
+A DFKI log and a swing are as in `board.py` (encoders at 100 rows/s under the measured torque, the rigid part of the
+lab's model_2.0; 3 s, passive). Every recording has a process of its own, so that its
 memory is its own: the largest resident sizes of it and of the second process, added up, in which what the two share
 counts twice. Seconds of CPU are those of both; wall time says what else the machine did.
 
@@ -45,11 +45,11 @@ def given(name: str) -> tuple:
     from invdyn.models import Body, planar_body
 
     if name in DFKI:
-        from diagnose_dfki import BODY, seen
+        from board import BODY, seen
 
         return seen(name), Body.from_toml(BODY), False
     if name in SWINGS:
-        from diagnose_real import PENDULUM, swing
+        from board import PENDULUM, swing
 
         return swing(int(name.removeprefix("ibm-"))), PENDULUM, True
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
+from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
@@ -29,11 +30,13 @@ from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
+from invdyn.diagnosis.hypotheses.regression_start import Start, start_of
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
 from invdyn.diagnosis.problem.thinned import left_out
+from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -61,12 +64,14 @@ def diagnose(
     workers: int = 1,
     budget: float | None = None,
     tolerance: float | None = None,
+    robot: bool = False,
     rules: Rules = DEFAULT,
     checked: bool = False,
     force: bool = False,
     refused: Sequence[str] = (),
     progress: Progress | None = None,
     checkpoint: str | Path | None = None,
+    interim: Callable[[Regression], None] | None = None,
 ) -> Diagnosis:
     """Diagnose the gap.
 
@@ -88,7 +93,8 @@ def diagnose(
             any effect and what is said of the causes come on top. The result then depends on the machine. By default
             the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
-            nor does what a cause leaves; by default `rules.evidence.tolerance`.
+            nor does what a cause leaves; by default `rules.evidence.tolerance`, of a ``robot`` its `robot_tolerance`.
+        robot: the recording is a real robot's, of which something is always left.
         rules: the numbers that the diagnosis follows: `Rules().replace(temper_scale=500)`.
         checked: :func:`.check_before` was called for each recording. Else it is called here: it refuses what is
             certainly a mistake in the recording, and warns of what may be one.
@@ -98,6 +104,8 @@ def diagnose(
         checkpoint: folder of this diagnosis, made when missing: what is screened, refined and confirmed is kept there
             (:mod:`.kept_units`), so that the same call continues where it was killed, with any number of workers. With
             a ``budget`` in seconds, what is kept takes none of them.
+        interim: called with what a regression says (:mod:`.regress`), a second after the start, and minutes before the
+            search ends; not where torques are unknown.
 
     Raises:
         InputError: the recording does not fit the body, or has a mistake that is certain; the withheld one does not fit
@@ -126,6 +134,8 @@ def diagnose(
     for name in without:
         if name not in effects:
             raise InputError(f"unknown effect {name!r}: known are {', '.join(effects)}")
+    if tolerance is None and robot:
+        tolerance = rules.evidence.robot_tolerance
     given = {"max_effects": most, "tolerance": tolerance}
     rules = rules.replace(**{name: value for name, value in given.items() if value is not None})
     most, tolerance = rules.search.max_effects, rules.evidence.tolerance
@@ -174,8 +184,11 @@ def diagnose(
             f"{'in it' if bound.regime.knows_torque else 'that are unknown'}, as {bound.problem.recording.name} "
             f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
         )
+    said = regress(recording, body, passive=passive, rules=rules, held_out=held_out)
+    if said is not None and interim is not None:
+        interim(said)
     report(1, "screen and refine")
-    found = _searched(bound, without, workers)
+    found = _searched(bound, without, workers, start_of(said, bound, passive))
     bound = found.problem
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason, rules)
@@ -218,7 +231,10 @@ def diagnose(
     follows = _followed(bound, none, best, formula)
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
+    complete = weighed.causes[best.key][1] > 0.5
+    closing = None if said is None else measured(said, there.cause, complete, body, passive, rules)
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
+    result = replace(result, regression=said, closing=closing)
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})
     if refused:
@@ -233,13 +249,13 @@ def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
     return [recording] if isinstance(recording, Recording) else recording
 
 
-def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int) -> HypothesisPool:
+def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int, start: Start) -> HypothesisPool:
     """The search in sub-steps short enough along the data's path."""
     try:
         with diverging():
             path, has_outliers = data_path(bound)
             bound = finely_stepped(bound.shaped(path), path)
-            found = search_either(bound, path, lambda law: search(law, path, has_outliers, without, workers))
+            found = search_either(bound, path, lambda law: search(law, path, has_outliers, without, workers, start))
             return heavy_tailed(found)
     except Diverged as error:
         raise cannot_follow(bound) from error

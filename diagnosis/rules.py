@@ -42,6 +42,7 @@ class EvidenceRules:
         8000.0, "nats", "the same for intervals of parameters", "measured: 740 intervals, .90 cover the truth"
     )
     tolerance: float = number(0.005, "typical torque", "torques below it do not matter", "stated")
+    robot_tolerance: float = number(0.03, "typical torque", "the same of a real robot's log", "stated")
     engine_error_step: float = number(0.002, "s", "first-order step whose error does not matter", "MuJoCo's default")
     worst_window: float = number(1.0, "s", "a torque is averaged over so long, then compared", "stated")
     detectable_torque: float = number(0.2, "typical torque", 'the answer "no gap" must rule it out', "stated")
@@ -165,6 +166,7 @@ class SearchRules:
     max_step_factor: int = number(2, "1", "times the sub-steps that errors in an angle need", "effort")
     passes_per_row: float = number(11000.0, "passes", "of work, by default", "effort: 102 to 213 s in nine logs")
     min_budget_rows: int = number(1000, "rows", "that a budget counts at least", "effort")
+    started_share: float = number(0.15, "1", "of the budget, for the search from what a regression found", "effort")
     search_share: float = number(0.75, "1", "of the budget, for the search", "effort")
 
 
@@ -408,6 +410,7 @@ class Fixed:
     regression_tail: float = number(4.0, "1", "degrees of freedom of what a regression leaves", "chosen")
     max_gap_steps: float = number(20.0, "steps", "beyond which a recording has a gap", "chosen")
     max_edge_sd: float = number(2.0, "medians", "of an acceleration's sd; rows at edges have more", "chosen")
+    min_link_left: float = number(0.02, "of the file's", "mass and inertia that a regression leaves a link", "chosen")
     min_link_share: float = number(0.01, "of the largest", "that a link's number is uncertain by at least", "chosen")
     # -- motions to record next
     excite_highest_frequency: float = number(1.0, "Hz", "of a motion's waves", "chosen")
@@ -426,6 +429,7 @@ class Fixed:
     max_members: int = number(10_000, "files", "of an ensemble", "stated")
     min_unknown_share: float = number(0.9, "prior sd", "of a number's sd, from which on the log says nothing", "stated")
     # -- replays
+    replay_horizons: tuple[float, float] = number((0.5, 2.0), "s", "that a replay of angles runs for", "stated")
     replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
     cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")
     max_replay_windows: int = number(30, "windows", "whose states are found; of more, evenly chosen ones", "effort")

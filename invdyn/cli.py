@@ -223,7 +223,7 @@ def diagnose(
 
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
-    from invdyn.diagnosis.report.sentences import details, verdict
+    from invdyn.diagnosis.report.sentences import details, interim, verdict
     from invdyn.diagnosis.write_back.write_back import check_write_back
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
     from invdyn.recordings import new_folder, whole_set
@@ -249,7 +249,12 @@ def diagnose(
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with ProgressBar() as progress:
-        diagnosis = run(**arguments, progress=progress, checkpoint=given.checkpoint)
+        diagnosis = run(
+            **arguments,
+            progress=progress,
+            checkpoint=given.checkpoint,
+            interim=lambda found: say(interim(found)),
+        )
     with new_folder(out), whole_set():
         if write_back is not None:
             held_out, recordings = arguments["held_out"], arguments["recording"]

@@ -58,8 +58,21 @@ class Diagnosed(Recorded):
         Setting("how far the clock of --camera is ahead of the log's, s; default: found from the motion", float),
     ] = None
     tolerance: Annotated[
-        float, Setting("a gap below this share of a typical torque does not matter", float, least=0)
-    ] = 0.005
+        float | None,
+        Setting(
+            "a gap below this share of a typical torque does not matter; default: by source, .03 of a robot's, .005 of "
+            "a simulation's",
+            float,
+            least=0,
+        ),
+    ] = None
+    source: Annotated[
+        str | None,
+        Setting(
+            "what made the recording, robot or simulation; default: robot for a log that a map is of, else simulation",
+            str,
+        ),
+    ] = None
 
     def check(self) -> None:
         """Raise InputError for what does not go together, an unknown effect, and a recording that is given twice."""
@@ -70,6 +83,8 @@ class Diagnosed(Recorded):
             if name not in EFFECTS:
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
         more = {"--with": self.others, "--held-out": self.held_out, "--camera": self.camera}
+        if self.source not in (None, *SOURCES):
+            raise InputError(f"expected a source among {', '.join(SOURCES)}, got {self.source!r:.60}")
         if self.calibration:
             if len(self.recordings) < 2:
                 raise InputError("--calibration is of several cameras: give the tracks of two or more, in pixels")
@@ -92,6 +107,11 @@ class Diagnosed(Recorded):
                 option = {self.held_out: "--held-out", self.camera: "--camera"}.get(name, "--with")
                 raise InputError(f"{name}: expected another recording of the same arm for {option}, got one twice")
             given.add(resolved(name))
+
+    @property
+    def robot(self) -> bool:
+        """Whether the recording is a real robot's."""
+        return self.mapping is not None if self.source is None else self.source == SOURCES[0]
 
     @property
     def excluded(self) -> tuple[str, ...]:
@@ -151,6 +171,7 @@ class Diagnosed(Recorded):
             "most": self.max_effects,
             "budget": self.budget,
             "tolerance": self.tolerance,
+            "robot": self.robot,
             "checked": True,
             "force": self.force,
             "refused": tuple(refused),
@@ -183,6 +204,7 @@ class Diagnosed(Recorded):
         return merge_log_and_camera(log, film, found.seconds)
 
 
+SOURCES = ("robot", "simulation")
 ESTIMATED = 0.3
 """Relative standard deviation of a number that is to be estimated, where none is given."""
 

@@ -112,7 +112,7 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
             share[j] = share_explained(bound, found, ranked[j])
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
-    probability = probability * np.where(rest, [another(len(c.effects), bound.rules) for c in ranked], 1.0)
+    probability = probability * np.where(rest, [another(found.count(c), bound.rules) for c in ranked], 1.0)
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}

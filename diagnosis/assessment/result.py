@@ -13,10 +13,12 @@ import numpy as np
 from cattrs import Converter
 from cattrs.gen import make_dict_unstructure_fn, override
 
+from invdyn.diagnosis.assessment.closing_measures import Closing
 from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.problem.regime import REGIMES
+from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.rules import DEFAULT, Rules
 
 SCHEMA = 2
@@ -235,9 +237,10 @@ class Diagnosis:
     `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
     change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
     looked for in space. `lengths` are those of a chain in the plane, whose picture they draw; of another body `posture`
-    does. `length_unit` is the recording's, such as "body length": m stands for it in all units, of torques too. In
-    :meth:`to_json` `Cause.in_part` is "probability_in_part", `outside` "outside_catalogue" and an interval's
-    `stop` its "end".
+    does. `regression` says what a regression of the torque does, and `closing` how much of the missing torque, and of
+    a replay's error, it and the search explain; None where torques are unknown. `length_unit` is the recording's,
+    such as "body length": m stands for it in all units, of torques too. In :meth:`to_json` `Cause.in_part` is
+    "probability_in_part", `outside` "outside_catalogue" and an interval's `stop` its "end".
     """
 
     recording: str
@@ -268,6 +271,8 @@ class Diagnosis:
     planar_only: tuple[str, ...] = ()
     noise: Noise | None = None
     length_unit: str = "m"
+    regression: Regression | None = field(default=None, compare=False)
+    closing: Closing | None = field(default=None, compare=False)
     rules: Rules = DEFAULT
 
     @property
@@ -297,6 +302,8 @@ class Diagnosis:
             "not_identifiable": list(self.not_identifiable),
             "search": {**search, "planar_only": list(self.planar_only)},
             "shrinkage": plain(self.shrinkage),
+            "regression": None if self.regression is None else plain(self.regression.to_json()),
+            "closing": None if self.closing is None else plain(self.closing.to_json()),
             **written,
         }
 

@@ -11,7 +11,7 @@ from invdyn.diagnosis.catalogue import CatalogueEntry
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_outlier
-from invdyn.diagnosis.problem.prior import another, log_prior_of, tempered
+from invdyn.diagnosis.problem.prior import another, log_prior_of, statements, tempered
 from invdyn.diagnosis.problem.regime import regimes
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import Screened
@@ -34,6 +34,7 @@ class HypothesisPool:
         followed: log evidence by key of causes that were followed to a neighbour of that key (:mod:`.swap`).
         has_outliers: whether some detections are far from it.
         missed: candidates that the budget had nothing left for.
+        everywhere: names of effects that a regression states at every place; each counts once.
     """
 
     problem: DiagnosisProblem
@@ -46,6 +47,7 @@ class HypothesisPool:
     workers: int = 1
     followed: dict[str, float] = field(default_factory=dict)
     missed: int = 0
+    everywhere: frozenset[str] = frozenset()
 
     @property
     def rules(self) -> Rules:
@@ -78,7 +80,7 @@ class HypothesisPool:
             min(cause.log_evidence, cleaned) - none
         )
         beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
-        rest = log(another(len(cause.effects), self.rules)) if self.leaves(cause) else 0.0
+        rest = log(another(self.count(cause), self.rules)) if self.leaves(cause) else 0.0
         return outliers + beyond + self.log_prior(cause.effects) + rest
 
     def leaves(self, cause: FittedHypothesis) -> bool:
@@ -87,7 +89,11 @@ class HypothesisPool:
 
     def log_prior(self, effects: Sequence[Effect]) -> float:
         """Log prior probability of a cause of these effects."""
-        return log_prior_of(effects, self.candidates, self.rules)
+        return log_prior_of(effects, self.candidates, self.rules, self.everywhere)
+
+    def count(self, cause: FittedHypothesis) -> int:
+        """How many effects a cause states."""
+        return statements(cause.effects, self.everywhere)
 
     @property
     def cleaned(self) -> float:

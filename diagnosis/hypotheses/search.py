@@ -12,6 +12,9 @@ first of these moves that it has not made, which may make another one the best:
             others that look like it, from values that its own say (:mod:`.swap`); last, each effect of the best cause
             for any other, along its path (:func:`exchange`)
 
+Where a regression states effects at every joint, the search begins with its set (:mod:`.regression_start`), and only
+adds to what is best: that set is chosen already.
+
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
 than those others gain from it.
@@ -37,6 +40,7 @@ from invdyn.diagnosis.hypotheses.continuation import continued, lifted
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered, needed, others
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.hypotheses.swap import follow_neighbours, refine_regularised, without
 from invdyn.diagnosis.problem.cause import FittedHypothesis, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, cannot_follow
@@ -46,6 +50,7 @@ from invdyn.diagnosis.sensitivity.screen import screen_in_halves
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects.base import Effect
 
+NOTHING = Start()
 Move = Callable[[HypothesisPool, FittedHypothesis], None]
 """Refines neighbours of a base, into the pool."""
 
@@ -56,17 +61,35 @@ def search(
     has_outliers: bool,
     left_out: Sequence[str] = (),
     workers: int = 1,
+    start: Start = NOTHING,
 ) -> HypothesisPool:
     """Search the catalogue for causes, but for effects whose names are ``left_out``, from what :func:`data_path` says.
+
+    And from the ``start`` that a regression gives.
 
     Raises InputError where the simulation diverges from the recording with any added torque.
     """
     found = _initial_pool(problem, path, has_outliers, considered(problem, left_out), workers)
     problem.budget.share = problem.rules.search.search_share
     with suppress(Spent):
+        _begin(found, start)
         _run(found)
     found.missed = len(problem.budget.missed - found.pool.keys())
     return found
+
+
+def _begin(found: HypothesisPool, start: Start) -> None:
+    """Refine what a regression found, along the data's path."""
+    known = {effect.key for effect in found.candidates}
+    effects = [effect for effect in start.effects if effect.key in known]
+    if not effects:
+        return
+    problem = found.problem
+    begun = attempt(refine, problem, effects, start.values, found.path, problem.regime.path_size)
+    if begun is not None and begun.plausible and begun.log_evidence > found.pool[""].log_evidence:
+        found.everywhere = start.everywhere
+        found.add(begun)
+        problem.budget.share = problem.rules.search.started_share
 
 
 def _run(found: HypothesisPool) -> None:
@@ -91,6 +114,10 @@ def _moves(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterato
         if not best.effects:
             yield add, best
         return
+    if found.everywhere:
+        if best.effects and not best.complete:
+            yield add, best
+        return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
         yield drop, best
@@ -98,7 +125,7 @@ def _moves(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterato
         enough = best.complete and len(others(best)) == 2
         if not enough or others(single)[0].key not in {effect.key for effect in best.effects}:
             yield add, single
-    if len(best.effects) < found.rules.search.max_effects and not (best.complete and exchanged):
+    if found.count(best) < found.rules.search.max_effects and not (best.complete and exchanged):
         yield add, best
     if best.effects:
         yield exchange, best

@@ -6,6 +6,9 @@ The number of effects at work comes first, then which ones, then where each acts
     P(n + 1) = P(n)/4 for n ≥ 4, where more are wanted,
     P(place | effect) = 1/places.
 
+An effect that a regression states at every joint (:mod:`..regression.regress`) is one of n, at all places together:
+robots' joints are alike. Its places then have P(all) of `places_prior`, for P(place | effect)^count.
+
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.whiten`).
 
@@ -28,7 +31,7 @@ cause α is larger. It is such that .90 of 740 intervals of opened blind runs ho
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -60,11 +63,25 @@ def another(count: int, rules: Rules = DEFAULT) -> float:
     return of_number(count + 1, rules) / of_number(count, rules) if more else 1.0
 
 
-def log_prior_of(effects: Sequence[Effect], candidates: Sequence[Effect], rules: Rules = DEFAULT) -> float:
+def statements(effects: Sequence[Effect], everywhere: Collection[str] = ()) -> int:
+    """How many effects are stated: one of several places counts once, where it is one of ``everywhere``."""
+    names = [effect.name for effect in effects]
+    return sum(name not in everywhere for name in names) + len({*names} & {*everywhere})
+
+
+def log_prior_of(
+    effects: Sequence[Effect],
+    candidates: Sequence[Effect],
+    rules: Rules = DEFAULT,
+    everywhere: Collection[str] = (),
+) -> float:
     """Log prior probability of a cause among ``candidates``, all effects at all places that are considered."""
     names = {candidate.name for candidate in candidates}
-    total = math.log(of_number(len(effects), rules)) + math.lgamma(len(effects) + 1)
+    count = statements(effects, everywhere)
+    total = math.log(of_number(count, rules)) + math.lgamma(count + 1) - count * math.log(max(len(names), 1))
+    stated = {effect.name for effect in effects} & {*everywhere}
+    total += len(stated) * math.log(rules.evidence.places_prior[2])
     for effect in effects:
-        places = sum(candidate.name == effect.name for candidate in candidates)
-        total -= math.log(max(len(names), 1)) + math.log(max(places, 1))
+        if effect.name not in stated:
+            total -= math.log(max(sum(candidate.name == effect.name for candidate in candidates), 1))
     return total

@@ -7,7 +7,8 @@ answer to the smoothed angle and velocity.
 Shapes: T rows of a recording, R rows of a motion, K joints. Units: rad, s, N·m.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -23,9 +24,9 @@ from invdyn.recordings import Recording
 
 @dataclass(frozen=True)
 class MeasuredMotion:
-    """Posterior means (R, K) of angle, velocity and acceleration, their sds, the torque (R, K), and `stretch` (R,).
+    """Posterior means (R, K) of angle, velocity and acceleration, their sds, and the torque (R, K).
 
-    `stretch` counts pieces of the recording between which time jumps.
+    `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces of a recording between which time jumps.
     """
 
     time: np.ndarray
@@ -35,6 +36,7 @@ class MeasuredMotion:
     qd_sd: np.ndarray
     qdd_sd: np.ndarray
     torque: np.ndarray
+    command: np.ndarray
     stretch: np.ndarray
 
     def at(self, rows: np.ndarray) -> "MeasuredMotion":
@@ -48,13 +50,20 @@ class MeasuredMotion:
 
 
 def measured_motion(
-    recording: Recording, body: ArticulatedBody, *, passive: bool = False, rules: Rules = DEFAULT
+    recording: Recording | Sequence[Recording],
+    body: ArticulatedBody,
+    *,
+    passive: bool = False,
+    rules: Rules = DEFAULT,
 ) -> MeasuredMotion | None:
-    """The motion of a recording; ``passive`` says that its torques are zero.
+    """The motion of a recording, or of several one after the other; ``passive`` says that torques are zero.
 
     None where torques are not known, or too few rows show every joint. Raises InputError where keypoints do not fit
     the body.
     """
+    if not isinstance(recording, Recording):
+        each = [measured_motion(one, body, passive=passive, rules=rules) for one in recording]
+        return _one_after_another([motion for motion in each if motion is not None])
     K, names = body.num_joints, recording.joint_names
     order = [names.index(name) for name in body.joint_names if name in names]
     if not passive and (recording.torques is None or len(order) < K):
@@ -88,6 +97,18 @@ def measured_motion(
     return motion.at(known) if known.sum() >= rules.recording.min_rows else None
 
 
+def _one_after_another(motions: Sequence[MeasuredMotion]) -> MeasuredMotion | None:
+    """Motions as stretches of one, a second apart."""
+    if not motions:
+        return None
+    moved, end, number = [], 0.0, 0
+    for motion in motions:
+        time = motion.time - motion.time[0] + end
+        moved.append(replace(motion, time=time, stretch=motion.stretch + number))
+        end, number = float(time[-1]) + 1.0, number + int(motion.stretch.max()) + 1
+    return MeasuredMotion(**{name: np.concatenate([vars(each)[name] for each in moved]) for name in vars(moved[0])})
+
+
 def _without_gaps(time: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     """Runs of ``rows`` without a step far beyond the usual one."""
     if len(rows) < 2:
@@ -115,11 +136,12 @@ def _of_stretch(
 ) -> MeasuredMotion:
     q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
     given = held_mean(time, torque, smoothed.time)
+    command = given
     if not passive:
         given = np.asarray(answered(body, *(torch.as_tensor(each) for each in (given, q, qd))).numpy())
     sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
     where = np.full(len(q), number)
-    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, where)
+    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, command, where)
 
 
 def held_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

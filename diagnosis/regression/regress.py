@@ -22,7 +22,7 @@ that is the answer.
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -75,19 +75,33 @@ class Stated:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """Rows that a fit to the others is measured on: the motion, that fit's coefficients, what it leaves, filter, Hz."""
+
+    motion: MeasuredMotion
+    coefficients: Mapping[tuple[str, str, str], float]
+    missing: np.ndarray
+    left: np.ndarray
+    cutoff: float
+    memory: float
+
+
+@dataclass(frozen=True)
 class Regression:
     """What a regression says: effects, their numbers, and how much of the missing torque they explain.
 
-    `joints` are the names of K; `torque` is of held-out rows.
+    `joints` are the names of K; `torque` is of the held-out rows that `unseen` has, and so is `plain`, of viscous and
+    Coulomb friction at all joints alone.
     """
 
     joints: tuple[str, ...]
     stated: tuple[Stated, ...]
     numbers: tuple[Estimated, ...]
     torque: TorqueClosing
+    plain: TorqueClosing
     rows: int
     coefficients: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
-    motion: MeasuredMotion | None = field(default=None, repr=False, compare=False)
+    unseen: Unseen | None = field(default=None, repr=False, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it."""
@@ -111,6 +125,7 @@ class Regression:
                 for each in self.numbers
             ],
             "torque": self.torque.to_json(self.joints),
+            "friction_alone": self.plain.to_json(self.joints),
             "rows": self.rows,
         }
 
@@ -126,17 +141,17 @@ class Fitted:
 
 
 def regress(
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     body: ArticulatedBody,
     *,
     passive: bool = False,
     rules: Rules = DEFAULT,
-    held_out: Recording | None = None,
+    held_out: Recording | Sequence[Recording] | None = None,
 ) -> Regression | None:
     """What a recording's torques lack, by regression.
 
     Args:
-        recording: encoders or keypoints, with torques.
+        recording: encoders or keypoints, with torques; one or several of one arm.
         body: the simulation, whose own friction, rotors, springs and servos count as known.
         passive: the torques are zero.
         rules: the numbers that it follows.
@@ -166,10 +181,18 @@ def regress(
         Stated(s.kind, tuple(s.columns), len(s.columns) == _places(whole, s.kind), gain)
         for s, gain in zip(fit.chosen.statements, fit.chosen.gain, strict=True)
     )
-    names = [(whole.kinds[p], whole.places[p], whole.names[p]) for p in fit.chosen.columns]
-    values = dict(zip(names, fit.chosen.values.tolist(), strict=True))
     numbers = (*_of_joints(whole, fit, body), *_of_links(whole, fit, body))
-    return Regression(body.joint_names, stated, numbers, torque, len(motion.time), values, motion)
+    plain = closing(unseen.missing, left[PLAIN.index(FRICTION)], memory, rules)
+    there = Unseen(last, _named(known, fits[best].chosen), unseen.missing, left[best], known.cutoff, memory)
+    return Regression(
+        body.joint_names, stated, numbers, torque, plain, len(motion.time), _named(whole, fit.chosen), there
+    )
+
+
+def _named(effects: LinearEffects, chosen: Chosen) -> dict[tuple[str, str, str], float]:
+    """Coefficients by effect, place and parameter."""
+    names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
+    return dict(zip(names, chosen.values.tolist(), strict=True))
 
 
 def _places(effects: LinearEffects, kind: str) -> int:

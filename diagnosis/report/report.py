@@ -14,14 +14,21 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
-from invdyn.diagnosis.assessment.result import Cause, Diagnosis
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate
 from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, handy, known, percent, plain, plus_minus
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
-from invdyn.diagnosis.report.words import SHORT_SIDES, cause_words, finding_words, key_words, meaning
+from invdyn.diagnosis.report.words import (
+    SHORT_SIDES,
+    cause_words,
+    effect_words,
+    finding_words,
+    key_words,
+    meaning,
+)
 from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings.atomic import write_text
 
@@ -58,6 +65,7 @@ def render(diagnosis: Diagnosis) -> str:
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
         file_changes=_file_changes(diagnosis),
+        regressed=_regressed(diagnosis),
         faint=plain(diagnosis.rules.evidence.min_dprime, 2),
         clear=plain(diagnosis.rules.evidence.clear_dprime, 2),
         hidden_torque=not diagnosis.knows_torque,
@@ -143,6 +151,18 @@ def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     ]
 
 
+def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Rows of what a regression found: what, value and interval; what a link's number is known with, in words."""
+    found = diagnosis.regression.numbers if diagnosis.regression is not None else ()
+    rows = []
+    for each in found:
+        with_others = "".join(f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.parts.items())
+        of = "of" if each.effect == "inertial_error" else "at"
+        what = f"{effect_words(each.effect)}: {each.parameter} {of} {each.place}{with_others}"
+        rows.append((what, *estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))))
+    return rows
+
+
 def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Name, number and note of the few numbers that stand next to the verdict."""
     gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
@@ -215,6 +235,25 @@ def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
                 "Share that it takes away and the other effects of the cause leave, with its 90 % interval.",
             )
         )
+    for who, each in (diagnosis.closing.torque if diagnosis.closing is not None else {}).items():
+        low, high = each.interval_90
+        rows.append(
+            (
+                f"Missing torque explained by the {who}",
+                f"{percent(each.share)} ({percent(low)} to {percent(high)})",
+                "Share of the rms torque that the simulation misses along the smoothed motion, with its 90 % interval, "
+                "on rows that the fit has not seen.",
+            )
+        )
+    for horizon in diagnosis.closing.replay if diagnosis.closing is not None else ():
+        for who, rms in horizon.rms.items():
+            rows.append(
+                (
+                    f"Replay of {horizon.horizon:g} s, {who}",
+                    handy(rms, "rad"),
+                    "Error of the angles, rms over joints, from smoothed starts.",
+                )
+            )
     if known(diagnosis.outside.probability):
         rows.append(
             (

@@ -1,9 +1,18 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION
 from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, STEPS, Cause, Diagnosis, Finding, Where, named
+from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
-from invdyn.diagnosis.report.words import SIDES, cause_words, key_words, place_words, variable_words
+from invdyn.diagnosis.report.words import (
+    SIDES,
+    cause_words,
+    effect_words,
+    key_words,
+    place_words,
+    variable_words,
+)
 from invdyn.diagnosis.rules import FIXED
 
 COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
@@ -65,6 +74,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         return f"No gap that matters: what the simulation lacks{_small(diagnosis)} is too little to look into."
     if answer == "none":
         return f"No gap: the simulation explains the recording down to its noise (probability of a gap {probability})."
+    if (lead := _explained(diagnosis, answer)) is not None:
+        return lead
     if answer == "outside":
         return _beyond(diagnosis)
     cause = best(diagnosis)
@@ -89,6 +100,67 @@ def verdict(diagnosis: Diagnosis) -> str:
         f"There is a gap: the simulation leaves out {missing} ({percent(cause.probability)} probable); "
         f"{_closing(diagnosis, 'it' if count == 1 else 'them')}."
     )
+
+
+def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
+    """How much named effects explain where something is left, or the search is behind the regression; None elsewhere.
+
+    None, too, where they explain nothing, or torque does not tell.
+    """
+    closing, regression = diagnosis.closing, diagnosis.regression
+    if closing is None or regression is None:
+        return None
+    by_regression = closing.shown == REGRESSION
+    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+    if (
+        closing.shown not in closing.torque
+        or not (by_regression or answer in ("outside", "unclear"))
+        or not (by_regression or cause)
+    ):
+        return None
+    torque = closing.torque[closing.shown]
+    low, high = torque.interval_90
+    if low <= 0:
+        return None
+    what = regression_words(regression) if by_regression else cause_words(cause) if cause else ""
+    text = f"There is a gap{_place(diagnosis)}: {what} {'explain' if ' and ' in what else 'explains'} "
+    text += f"{percent(torque.share)} of the missing torque ({percent(low)} to {percent(high)})"
+    if closing.replay:
+        longest = closing.replay[-1]
+        share = longest.closed[closing.shown][0]
+        text += f" and {percent(max(share, 0.0))} of the error of a replay of {longest.horizon:g} s"
+    rest = [
+        f"{handy(after, 'N·m')} at {place_words('joint', joint)}"
+        for joint, after in zip(closing.joints, torque.after.tolist(), strict=True)
+    ]
+    if len(rest) > 2:
+        most = int(torque.after.argmax())
+        rest = [rest[most]]
+    return f"{text}; {named(rest)} {'are' if len(rest) > 1 else 'is'} left."
+
+
+def regression_words(regression: Regression) -> str:
+    """Effects and places of a regression: "viscous friction at all joints and rotor inertia at the elbow"."""
+    parts = []
+    for stated in regression.stated:
+        words, of = effect_words(stated.effect), "link" if stated.effect == "inertial_error" else "joint"
+        if stated.everywhere and len(stated.places) > 1:
+            at = f"all {of}s"
+        else:
+            at = named([place_words(of, place) for place in stated.places])
+        parts.append(f"{words} {'of' if of == 'link' else 'at'} {at}")
+    return named(parts) if parts else "no effect"
+
+
+def interim(regression: Regression) -> str:
+    """What a regression says before the search ends, one sentence."""
+    torque = regression.torque
+    if not regression.stated:
+        return "By regression alone no effect explains the torque better than the simulation does."
+    low, high = torque.interval_90
+    share = f"{percent(max(torque.share, 0.0))} of the missing torque ({percent(low)} to {percent(high)})"
+    words = regression_words(regression)
+    return f"By regression alone: {words} {'explain' if ' and ' in words else 'explains'} {share}."
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:
@@ -171,6 +243,8 @@ def details(diagnosis: Diagnosis) -> list[str]:
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
         found += changes(diagnosis) + at_edges(diagnosis)
     found += learned(diagnosis)
+    if answer != "none" and diagnosis.regression is not None and diagnosis.regression.stated:
+        found.append(interim(diagnosis.regression))
     if answer in ("outside", "none") and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:

@@ -115,7 +115,7 @@ def test_options_arrive(commanded, folder, run, calls):
     assert call["held_out"].num_frames == 12
     assert call["recording"].torques[0].tolist() == [1, 2]
     assert call["most"] == 4
-    assert (call["budget"], call["tolerance"]) == (None, 0.005)
+    assert (call["budget"], call["tolerance"], call["robot"]) == (None, None, False)
     assert call["checkpoint"] is None
     run(
         *commanded,
@@ -133,6 +133,9 @@ def test_options_arrive(commanded, folder, run, calls):
     assert (calls[-1]["budget"], calls[-1]["tolerance"]) == (600.0, 0.02)
     assert calls[-1]["passive"] is True
     assert calls[-1]["most"] == 6
+    run(*commanded, "--set", "source=robot")
+    assert calls[-1]["robot"] is True
+    assert "expected a source among robot, simulation" in run(*commanded, "--set", "source=real").output
     run(*commanded, "--hide-torque", "--held-out", "other.csv")
     assert calls[-1]["recording"].torques is None
     assert calls[-1]["held_out"].torques is None

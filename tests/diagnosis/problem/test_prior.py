@@ -14,10 +14,13 @@ from invdyn.diagnosis.problem.prior import (
     coarsened,
     log_prior_of,
     of_number,
+    statements,
     tempered,
 )
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.evidence import learned
+from invdyn.models.effects.coulomb_friction import CoulombFriction
+from invdyn.models.effects.viscous_friction import ViscousFriction
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])
@@ -77,3 +80,15 @@ def test_the_likelihood_is_tempered_and_not_the_prior(temper):
     mean = covariance @ (A.T @ y + mu / s**2)
     known, far = learned(covariance, s), 0.5 * (((mean - mu) / s) ** 2).sum()
     assert coarsened(exact(1.0), known, far, temper) == pytest.approx(exact(temper), abs=0.05)
+
+
+def test_an_effect_that_is_everywhere_is_one_statement():
+    """Only where it is said to be: else each place costs an effect of its own, as before."""
+    candidates = [ViscousFriction("shoulder"), ViscousFriction("elbow"), CoulombFriction("elbow")]
+    both = candidates[:2]
+    assert (statements(both), statements(both, {"viscous_friction"})) == (2, 1)
+    one, all_of_them = (DEFAULT.evidence.effect_count_prior[1] / 2, DEFAULT.evidence.places_prior[2])
+    stated = log_prior_of(both, candidates, everywhere={"viscous_friction"})
+    assert np.exp(stated) == pytest.approx(one * all_of_them)
+    assert log_prior_of(both, candidates) == log_prior_of(both, candidates, everywhere={"armature"})
+    assert stated > log_prior_of(both, candidates)

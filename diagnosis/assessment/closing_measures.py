@@ -1,0 +1,172 @@
+"""How far an answer closes the gap in the units that engineers use, and whether the search is behind the regression.
+
+    torque   1 − rms(e with)/rms(e without), e the torque that the simulation misses along the smoothed motion
+    replay   the same of the angles' error over .5 and 2 s of replays from smoothed starts
+
+On rows that neither answer was fitted to. Both are measured along one motion, through one low-pass filter
+(:mod:`..regression.as_model`). Intervals come from a bootstrap of blocks of rows, and of neighbouring replays.
+
+An answer of the search that misses more torque than the regression's, or replays worse, by more than
+`max_behind_plain` and `min_plain_gain` say, is not shown as the answer: the regression's is. An answer that leaves
+nothing is shown in any case. Of effects that have states which no sensor shows, or that change what sensors see, no
+torque along a motion tells: they count as absent.
+
+Shapes: R rows, K joints, H horizons, W replays. Units: N·m, rad, s.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.regression.as_model import (
+    model_on,
+    replay_errors,
+    torque_missed,
+    windows,
+    with_coefficients,
+)
+from invdyn.diagnosis.regression.regress import Regression, Unseen
+from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
+from invdyn.models import ArmModel, ArticulatedBody
+from invdyn.models.divergence import Diverged, diverging
+from invdyn.models.effects.base import PREFIX
+from invdyn.models.effects.hidden import Hidden
+
+REGRESSION, SEARCH = "regression", "search"
+
+
+@dataclass(frozen=True)
+class ReplayClosing:
+    """Of one horizon, s: rms of angles' errors, rad, "nominal" and by answer; shares closed with their intervals."""
+
+    horizon: float
+    rms: Mapping[str, float]
+    closed: Mapping[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Closing:
+    """By answer, "regression" and "search"; `shown` is the one that is shown."""
+
+    joints: tuple[str, ...]
+    torque: Mapping[str, TorqueClosing]
+    replay: tuple[ReplayClosing, ...]
+    shown: str
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON file has it."""
+        return {
+            "shown": self.shown,
+            "torque": {who: each.to_json(self.joints) for who, each in self.torque.items()},
+            "replay": [
+                {
+                    "seconds": each.horizon,
+                    "rms_rad": dict(each.rms),
+                    "closed": {who: share for who, (share, _, _) in each.closed.items()},
+                    "interval_90": {who: [low, high] for who, (_, low, high) in each.closed.items()},
+                }
+                for each in self.replay
+            ],
+        }
+
+
+def measured_regression(
+    regression: Regression, body: ArticulatedBody, passive: bool, rules: Rules = DEFAULT
+) -> Closing | None:
+    """The regression's answer alone; None where it has no rows that it has not seen."""
+    if (there := regression.unseen) is None:
+        return None
+    nominal = model_on(there.motion, body, passive)
+    models = {"nominal": nominal, REGRESSION: with_coefficients(nominal, there.coefficients)}
+    return Closing(regression.joints, {REGRESSION: regression.torque}, _replayed(models, there, rules), REGRESSION)
+
+
+def measured(
+    regression: Regression,
+    cause: FittedHypothesis,
+    complete: bool,
+    body: ArticulatedBody,
+    passive: bool,
+    rules: Rules,
+) -> Closing | None:
+    """Both answers on the rows that the regression has not seen; ``cause`` as other rows know it.
+
+    ``complete`` says that it leaves nothing. None where the regression has no such rows.
+    """
+    there = regression.unseen
+    if there is None:
+        return None
+    nominal = model_on(there.motion, body, passive)
+    models = {REGRESSION: with_coefficients(nominal, there.coefficients), SEARCH: _of_cause(nominal, cause)}
+    after = torque_missed(models[SEARCH], there.motion, there.cutoff)
+    torque = {REGRESSION: regression.torque, SEARCH: closing(there.missing, after, there.memory, rules)}
+    replay = _replayed({"nominal": nominal} | models, there, rules)
+    behind = (
+        not complete
+        and bool(regression.stated)
+        and _behind(float(np.linalg.norm(regression.torque.before)), torque, replay)
+    )
+    return Closing(regression.joints, torque, replay, REGRESSION if behind else SEARCH)
+
+
+def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
+    """The simulation with a cause's effects and the body's numbers as it has them."""
+    told = [effect for effect in cause.effects if effect.side == "dynamics" and not isinstance(effect, Hidden)]
+    numbers = cause.model.with_effects().body_parameters()._asdict()
+    own = {f"body.{name}": numbers[name] for name in ("mass", "com", "inertia") if name in numbers}
+    filed = {n: v for n, v in cause.model.parameters.items() if n.startswith("body.") and n[5:] not in numbers}
+    keys = tuple(f"{PREFIX}{effect.key}." for effect in told)
+    mine = {name: value for name, value in cause.model.parameters.items() if name.startswith(keys)}
+    return nominal.with_effects(*told).replace(**own, **filed, **mine)
+
+
+def _behind(before: float, torque: Mapping[str, TorqueClosing], replay: tuple[ReplayClosing, ...]) -> bool:
+    """Whether the search closes less than the regression on any measure, by more than is stated.
+
+    ``before`` is the size of the torque that is missing without either, N·m.
+    """
+    left = {who: float(np.linalg.norm(each.after)) for who, each in torque.items()}
+    sizes = [(before, left), *((each.rms["nominal"], each.rms) for each in replay)]
+    return any(
+        own[SEARCH] > max(FIXED.max_behind_plain * own[REGRESSION], own[REGRESSION] + FIXED.min_plain_gain * whole)
+        for whole, own in sizes
+    )
+
+
+def _replayed(models: Mapping[str, ArmModel], there: Unseen, rules: Rules) -> tuple[ReplayClosing, ...]:
+    starts = windows(there.motion)
+    if not len(starts):
+        return ()
+    errors: dict[str, np.ndarray] = {}
+    for who, model in models.items():
+        try:
+            with diverging():
+                errors[who] = replay_errors(model, there.motion, starts)
+        except Diverged:
+            errors[who] = np.full((len(FIXED.replay_horizons), len(starts)), np.pi)
+    found = []
+    for n, horizon in enumerate(FIXED.replay_horizons):
+        square = {who: each[n] ** 2 for who, each in errors.items()}
+        rms = {who: float(np.sqrt(each.mean())) for who, each in square.items()}
+        shares = {who: _share(square["nominal"], each, rules) for who, each in square.items() if who != "nominal"}
+        found.append(ReplayClosing(horizon, rms, shares))
+    return tuple(found)
+
+
+def _share(before: np.ndarray, after: np.ndarray, rules: Rules) -> tuple[float, float, float]:
+    """Share of the rms that is closed, of squares (W,), bootstrapped in blocks of four replays at most."""
+    count, draws = len(before), rules.outcome.num_bootstraps
+    share = 1 - float(np.sqrt(after.mean() / max(before.mean(), 1e-300)))
+    if count < 2:
+        return share, math.nan, math.nan
+    length = max(1, min(4, count // 2))
+    starts = np.random.default_rng(0).integers(count, size=(draws, -(-count // length)))
+    index = ((starts[..., None] + np.arange(length)) % count).reshape(draws, -1)
+    old, new = (np.maximum(each, 1e-300)[index].mean(1) for each in (before, after))
+    low, high = np.quantile(1 - np.sqrt(new / old), [0.05, 0.95]).tolist()
+    return share, low, high

@@ -1,0 +1,102 @@
+"""Torque and replay of both answers on rows that neither has seen, and which of them is shown."""
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, measured, measured_regression
+from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
+from invdyn.diagnosis.regression.regress import regress
+from invdyn.diagnosis.report.sentences import interim, regression_words
+from invdyn.diagnosis.rules import DEFAULT
+from invdyn.models.effects import EFFECTS
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "regression"))
+from test_regress import BODY, friction, recorded
+
+
+@pytest.fixture(scope="module")
+def regression():
+    return regress(recorded(0, friction, seconds=12.0), BODY)
+
+
+def cause(regression, *effects, **values):
+    """What `measured` reads of a refined cause."""
+    there = regression.unseen
+    model = model_on(there.motion, BODY, False).with_effects(*effects)
+    given = {f"effect.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    model = model.replace(**given)
+    return SimpleNamespace(effects=tuple(model.effects), model=model)
+
+
+def test_the_model_misses_the_torque_that_the_regression_leaves(regression):
+    """Of both the simulation as it is and with what was found, to a tenth of what is missing."""
+    there = regression.unseen
+    nominal = model_on(there.motion, BODY, False)
+    for model, missing in ((nominal, there.missing), (with_coefficients(nominal, there.coefficients), there.left)):
+        found = torque_missed(model, there.motion, there.cutoff)
+        assert np.abs(found).mean() == pytest.approx(np.abs(missing).mean(), rel=0.1, abs=0.01)
+
+
+@pytest.mark.long
+def test_a_replay_closes_with_friction(regression):
+    closing = measured_regression(regression, BODY, False)
+    half, two = closing.replay
+    assert (half.horizon, two.horizon) == (0.5, 2.0)
+    for each in (half, two):
+        share, low, high = each.closed[REGRESSION]
+        assert each.rms[REGRESSION] < 0.3 * each.rms["nominal"]
+        assert low < share < high
+    assert closing.torque[REGRESSION].share > 0.9
+
+
+@pytest.mark.long
+def test_a_search_that_is_behind_is_not_shown_but_one_that_leaves_nothing_is(regression):
+    one = cause(regression, EFFECTS["viscous_friction"]("elbow"), **{"viscous_friction.elbow.damping": 0.1})
+    behind = measured(regression, one, False, BODY, False, DEFAULT)
+    assert behind.shown == REGRESSION
+    assert behind.torque[SEARCH].share < behind.torque[REGRESSION].share - 0.3
+    assert measured(regression, one, True, BODY, False, DEFAULT).shown == SEARCH
+
+
+@pytest.mark.long
+def test_a_search_that_is_not_behind_is_shown(regression):
+    kinds = {"viscous_friction": "damping", "coulomb_friction": "torque"}
+    effects = [EFFECTS[kind](joint) for kind in kinds for joint in BODY.joint_names]
+    true = {"viscous_friction": (0.3, 0.1), "coulomb_friction": (0.5, 0.25)}
+    values = {f"{e.key}.{kinds[e.name]}": true[e.name][BODY.joint_names.index(e.where[0])] for e in effects}
+    closing = measured(regression, cause(regression, *effects, **values), False, BODY, False, DEFAULT)
+    assert closing.shown == SEARCH
+    assert closing.to_json()["torque"][SEARCH]["closed"] > 0.9
+
+
+@pytest.mark.long
+def test_what_a_torque_does_not_tell_counts_as_absent(regression):
+    seen = cause(regression, EFFECTS["encoder_offset"]("elbow"), **{"encoder_offset.elbow.offset": 0.1})
+    closing = measured(regression, seen, False, BODY, False, DEFAULT)
+    assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
+
+
+@pytest.mark.long
+def test_one_replay_has_no_interval():
+    found = regress(recorded(0, friction, seconds=6.5), BODY)
+    closing = measured_regression(found, BODY, False)
+    assert len(closing.replay) in (0, 2)
+    for each in closing.replay:
+        assert math.isnan(each.closed[REGRESSION][1])
+
+
+def test_the_regression_in_words(regression):
+    words = regression_words(regression)
+    assert "viscous friction at all joints" in words
+    assert "Coulomb friction at all joints" in words
+    assert interim(regression).startswith("By regression alone: ")
+    one = replace(regression, stated=tuple(replace(s, places=("elbow",), everywhere=False) for s in regression.stated))
+    assert "viscous friction at the elbow" in regression_words(one)
+    assert "no effect" in interim(replace(regression, stated=()))
