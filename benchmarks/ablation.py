@@ -25,7 +25,6 @@ from scipy.stats import beta
 
 from invdyn.diagnosis.diagnose import _searched
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
-from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.models import Body
 from invdyn.recordings import read_keypoint_csv
@@ -134,7 +133,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
         setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
     started = time.process_time()
     try:
-        found = _searched(bound, left_out, 1, Start())
+        found = _searched(bound, left_out, 1)
     finally:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)

@@ -22,7 +22,7 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
-from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis
+from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, plain
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
 from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue, CatalogueEntry
@@ -31,7 +31,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.regression_start import Start, start_of
-from invdyn.diagnosis.hypotheses.search import search
+from invdyn.diagnosis.hypotheses.search import NOTHING, search
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
@@ -105,7 +105,7 @@ def diagnose(
             (:mod:`.kept_units`), so that the same call continues where it was killed, with any number of workers. With
             a ``budget`` in seconds, what is kept takes none of them.
         interim: called with what a regression says (:mod:`.regress`), a second after the start, and minutes before the
-            search ends; not where torques are unknown.
+            search ends; not where torques are unknown. A ``checkpoint`` has it as regression.json.
 
     Raises:
         InputError: the recording does not fit the body, or has a mistake that is certain; the withheld one does not fit
@@ -185,6 +185,8 @@ def diagnose(
             f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
         )
     said = regress(recording, body, passive=passive, rules=rules, held_out=held_out)
+    if said is not None and checkpoint is not None:
+        write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")
     if said is not None and interim is not None:
         interim(said)
     report(1, "screen and refine")
@@ -220,7 +222,9 @@ def diagnose(
         weighed = only(bound, found, none, weighed.log_evidence)
         shares, there = tested(none)
     best = weighed.best
-    if len(best.effects) > 1:
+    if found.everywhere:
+        parts = {}  # what a regression chose, withheld folds have confirmed
+    elif len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
         if not borne_out(best, parts, rules):
             weighed = in_part_only(weighed)
@@ -249,7 +253,7 @@ def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
     return [recording] if isinstance(recording, Recording) else recording
 
 
-def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int, start: Start) -> HypothesisPool:
+def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int, start: Start = NOTHING) -> HypothesisPool:
     """The search in sub-steps short enough along the data's path."""
     try:
         with diverging():

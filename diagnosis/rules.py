@@ -166,7 +166,7 @@ class SearchRules:
     max_step_factor: int = number(2, "1", "times the sub-steps that errors in an angle need", "effort")
     passes_per_row: float = number(11000.0, "passes", "of work, by default", "effort: 102 to 213 s in nine logs")
     min_budget_rows: int = number(1000, "rows", "that a budget counts at least", "effort")
-    started_share: float = number(0.15, "1", "of the budget, for the search from what a regression found", "effort")
+    started_share: float = number(0.08, "1", "of the budget, for the search from what a regression found", "effort")
     search_share: float = number(0.75, "1", "of the budget, for the search", "effort")
 
 

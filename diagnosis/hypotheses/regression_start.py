@@ -30,7 +30,8 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     """Where a search begins; without effects where no effect is stated at every one of several joints."""
     if regression is None or regression.unseen is None:
         return Start()
-    everywhere = frozenset(s.effect for s in regression.stated if s.everywhere and len(s.places) > 1)
+    stated = [s.effect for s in regression.stated if s.everywhere and len(s.places) > 1]
+    everywhere = frozenset("joint_stiffness" if effect == "constant_torque" else effect for effect in stated)
     if not everywhere & JOINT_KINDS.keys():
         return Start()
     nominal = model_on(regression.unseen.motion, problem.model.body, passive)

@@ -13,7 +13,7 @@ first of these moves that it has not made, which may make another one the best:
             for any other, along its path (:func:`exchange`)
 
 Where a regression states effects at every joint, the search begins with its set (:mod:`.regression_start`), and only
-adds to what is best: that set is chosen already.
+extends what is best: that set is chosen already.
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -115,8 +115,8 @@ def _moves(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterato
             yield add, best
         return
     if found.everywhere:
-        if best.effects and not best.complete:
-            yield add, best
+        if not (found.first and best.complete):
+            yield extend, best
         return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
@@ -175,6 +175,13 @@ def _refine_tracker_errors(found: HypothesisPool) -> None:
     refine_best(tried, none, screened, problem.rules.search.max_candidates_for_outliers)
     if tried.explained:
         found.pool, found.first = tried.pool, screened
+
+
+def extend(found: HypothesisPool, base: FittedHypothesis) -> None:
+    """Refine the few most promising effects beside what a regression found; none is swapped for its neighbours."""
+    screened = screened_with(found, base)
+    found.first = found.first or screened
+    refine_best(found, base, screened, found.rules.search.max_candidates_exchanged)
 
 
 def drop(found: HypothesisPool, best: FittedHypothesis) -> None:

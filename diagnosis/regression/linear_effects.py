@@ -9,6 +9,7 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
     link        Y(q, q̇, q̈) of its m, m c and J (:mod:`..problem.regressors`)
 
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
+Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
 
 An encoder's noise, and the roughness of its scale, enter q̈ as the square of frequency. What is missing and all columns
@@ -92,8 +93,8 @@ def linear_effects(
     made = {
         "viscous_friction": [(motion.qd, motion.qd_sd**2)],
         "coulomb_friction": [(sign, 1 - sign**2)],
-        "armature": [(motion.qdd, motion.qdd_sd**2)],
-        "joint_stiffness": [(motion.q, none), (-one, none)],
+        "armature": [] if passive else [(motion.qdd, motion.qdd_sd**2)],
+        "joint_stiffness": [] if passive else [(motion.q, none), (-one, none)],
         "constant_torque": [] if passive else [(one, none)],
         "actuator_gain": [] if passive else [(rigid, none)],
     }

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from invdyn.diagnosis.hypotheses.regression_start import start_of
+from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regressors import inverse
+from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.models import Link, planar_body
@@ -164,3 +167,31 @@ def test_a_gap_begins_another_stretch():
     motion = measured_motion(whole.at(rows), BODY)
     assert set(motion.stretch) == {0, 1}
     assert not ((motion.time > 3.99) & (motion.time < 7.01)).any()
+
+
+def test_a_search_starts_where_effects_are_everywhere():
+    """From friction at all joints, with its sizes; from nothing where an effect is at one joint alone."""
+    friction_everywhere = recorded(0, friction, seconds=6.0)
+    bound = diagnosis_problem(friction_everywhere, BODY)
+    start = start_of(regress(friction_everywhere, BODY), bound, False)
+    assert start.everywhere >= {"viscous_friction", "coulomb_friction"}
+    assert start.values["coulomb_friction.shoulder.torque"] == pytest.approx(0.5, rel=0.1)
+    keys = {effect.key for effect in start.effects}
+    assert {name.rpartition(".")[0] for name in start.values} == keys
+    one = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]), seconds=6.0)
+    assert start_of(regress(one, BODY), bound, False).effects == ()
+    assert start_of(None, bound, False).effects == ()
+
+
+def test_links_that_were_found_are_those_of_the_model():
+    """A heavier fore-arm: the simulation with it misses as little torque as the regression leaves."""
+    links = [Link("upper", "shoulder", "elbow", 0.4, 1.5), Link("fore", "elbow", "wrist", 0.3, 1.2)]
+    heavy = planar_body("heavy", links, gravity=(0.0, -9.81))
+    there = regress(recorded(3, lambda m: 0.0 * m.q, heavy), BODY).unseen
+    nominal = model_on(there.motion, BODY, False)
+    missing, left = (
+        np.sqrt((torque_missed(model, there.motion, there.cutoff) ** 2).mean(0))
+        for model in (nominal, with_coefficients(nominal, there.coefficients))
+    )
+    assert missing == pytest.approx(np.sqrt((there.missing**2).mean(0)), rel=0.05)
+    assert (left < 0.1 * missing).all()
