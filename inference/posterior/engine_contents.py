@@ -180,7 +180,7 @@ def contact_lines(force: np.ndarray, names: Sequence[str], ground: np.ndarray) -
             lines.append(
                 f"contact {name}: {mean:.3g} N ± {width / 2:.2g} (90 %) in {100 * acting.mean():.0f} % of rows"
             )
-    for i, j in combinations(np.flatnonzero(ground), 2):
+    for i, j in combinations(np.flatnonzero(ground).tolist(), 2):
         one, other = (force[..., k, 2] for k in (i, j))
         stands = (np.median(one, 0) > ACTS) & (np.median(other, 0) > ACTS)
         if not stands.any():

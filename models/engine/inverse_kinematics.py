@@ -35,7 +35,10 @@ class Posed(Protocol):
     torque_size: int
     state_dim: int
     observation_dim: int
-    parameters: Mapping[str, Tensor]
+
+    @property
+    def parameters(self) -> Mapping[str, Tensor]:
+        """By dotted name."""
 
     @property
     def time(self) -> Tensor:

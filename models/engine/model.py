@@ -322,13 +322,17 @@ class EngineModel(StateSpaceModel):
             readings = self.sensed(state)
             columns = torch.as_tensor(self.scene.points[:, list(self.scene.plane)])
             points = readings[..., columns]
+        unknown: Any = _unknown
         view = EngineView(
             angles,
             velocity,
             points,
             angles,
             self.scene,
-            *(_unknown,) * 4,
+            unknown,
+            unknown,
+            unknown,
+            unknown,
             lambda: self.timeline.elapsed[t].to(state).unsqueeze(-1),
             readings=readings,
         )

@@ -11,9 +11,10 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.body_xml import MOST_BYTES, parse
@@ -34,6 +35,12 @@ TRIAL = 0.2
 """s of a simulation at rest that must not run away."""
 POINT = "invdyn point "
 """What names of added sensors, of sites' places, begin with."""
+
+
+class Gravity(NamedTuple):
+    """(3,) m/s²."""
+
+    gravity: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,10 @@ class Scene(BodyBase):
     def gravity(self) -> Sequence[float]:
         """(3,) m/s²."""
         return self.model.opt.gravity.tolist()
+
+    def parameters(self) -> "Gravity":
+        """Gravity alone: MuJoCo keeps all other numbers."""
+        return Gravity(torch.tensor(self.gravity, dtype=torch.float64))
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
