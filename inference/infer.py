@@ -57,7 +57,8 @@ def infer(
         integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.
-        passive: the commanded torque is zero. The inferred torque is then that of friction and other effects.
+        passive: no torque acts. The inferred torque is then that of friction and other effects; where it is a fifth
+            of what the weight exerts, or more, a warning says so.
         hide_torque: ignore the recording's commands.
         progress: called with (done, total, what).
         device: of the particle filters, "cpu" or "cuda".

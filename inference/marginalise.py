@@ -23,6 +23,7 @@ from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.lengths import as_fitted
 from invdyn.inference.posterior.posterior import combine
 
 Method = Callable[..., az.InferenceData]
@@ -33,7 +34,7 @@ def body_draws(problem: Problem, count: int, seed: int) -> list[Problem]:
     problems = []
     with seeded(seed), poutine.block():
         for _ in range(count):
-            drawn = problem.model.body.sample(dtype=problem.model.dtype)._asdict()
+            drawn = as_fitted(problem).sample(dtype=problem.model.dtype)._asdict()
             model = problem.model.replace(**{f"body.{name}": value for name, value in drawn.items()})
             problems.append(dataclasses.replace(problem, model=model))
     return problems

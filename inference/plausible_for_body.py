@@ -13,8 +13,12 @@ import torch
 from invdyn.models import ArticulatedBody, Body
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording, check_in_space, check_plausible
-from invdyn.recordings.plausible import BASE
+from invdyn.recordings.cameras import Filmed
+from invdyn.recordings.errors import about
+from invdyn.recordings.plausible import BASE, check_scale
+from invdyn.recordings.repairs import repaired
 from invdyn.recordings.units import Units
+from invdyn.recordings.zero_likelihood import without_zeros
 
 POSES = (0.0, 0.7, -1.3)
 """Of all coordinates, each one's a little further on: what keeps its distance in all of them always does."""
@@ -47,6 +51,23 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
             numbers.position[0].tolist() if rooted(body) else None,
             numbers.position.norm(dim=-1).sum().item() + max(numbers.sites.norm(dim=-1).tolist(), default=0.0),
         )
+
+
+def put_right(recording: Recording, body: ArticulatedBody) -> Recording:
+    """A recording that may have been made in Python, repaired as those of files are (:mod:`invdyn.recordings.repairs`).
+
+    Raises InputError where its distances are another unit's than the body's lengths: off by a factor of three or more.
+    """
+    if isinstance(recording, Filmed) or not isinstance(body, Body):
+        return recording
+    with about(recording.name):
+        found = without_zeros(recording, recording.length_unit == "px", in_file=False)
+        recording = repaired(found, slides(body))
+        distances = (distances_of_base(body) if rooted(body) else {}) | rigid_distances(body)
+        tracked = body.base_keypoint in recording.keypoint_names
+        base = recording.keypoint(str(body.base_keypoint)) if tracked else np.array(body.base)
+        check_scale(recording, distances, base)
+    return recording
 
 
 def in_chain_order(recording: Recording, body: Body) -> Recording:

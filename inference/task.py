@@ -1,5 +1,6 @@
 """A recording bound to a body, its unknown parameters fitted: what any method then runs on."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
@@ -19,6 +20,8 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Free
 from invdyn.inference.marginalise import over_bodies
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
+from invdyn.inference.plausible_for_body import put_right
+from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
@@ -155,6 +158,7 @@ def prepare(
     does not fit the body, for an unknown parameter, a device that is not there, or a checkpoint of another run.
     """
     options.check()
+    recording = put_right(recording, body)
     problems = [
         arm_problem(
             recording,
@@ -171,6 +175,10 @@ def prepare(
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
     chosen, model, path, converged, evidence, doubts = _fitted(problems, frees, report, kept)
     problem, free = problems[chosen], frees[chosen]
+    fitted = replace(problem, model=model)
+    doubts = [*unexplained(fitted, path), *doubts]
+    for doubt in doubts:
+        warnings.warn(doubt, stacklevel=3)
     record = {
         "fitted": {f.name: model.parameters[f.name].tolist() for f in free},
         "fit_converged": converged,
@@ -184,7 +192,7 @@ def prepare(
     if len(problems) > 1:
         names = [type(each.model.torque).__name__ for each in problems]
         record["torque_evidence"] = dict(zip(names, evidence, strict=True))
-    return Task(replace(problem, model=model), path, options, seed, record, kept, problem, tuple(free))
+    return Task(fitted, path, options, seed, record, kept, problem, tuple(free))
 
 
 def _fitted(

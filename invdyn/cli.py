@@ -226,7 +226,7 @@ def diagnose(
     from invdyn.diagnosis.report.sentences import details, interim, verdict
     from invdyn.diagnosis.write_back.write_back import check_write_back
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
-    from invdyn.recordings import new_folder, whole_set
+    from invdyn.recordings import InputError, new_folder, whole_set
 
     from .outputs import OutputFolder
 
@@ -237,6 +237,8 @@ def diagnose(
     check_outputs([tracks, write_back], given.files)
     check_ending("a file of tracks", tracks, ".csv")
     if write_back is not None:
+        if given.body is None:
+            raise InputError("--write-back corrects a copy of a file: give --body, and no person's height")
         check_write_back(given.body, write_back)
     copies = None
     if ensemble is not None:

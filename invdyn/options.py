@@ -11,8 +11,23 @@ MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
 MAX_WORKERS = 1024
 
 BodyFile = Annotated[
-    str, typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, or the name of one of ours.")
+    str,
+    typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, .osim, or the name of one of ours."),
 ]
+PersonOrBody = Annotated[
+    str | None,
+    typer.Option(
+        "--body",
+        metavar="FILE",
+        help="Body: .toml, .xml (MJCF), .urdf, .osim, or the name of one of ours. Of a person, --height, --mass and "
+        "--sex instead.",
+    ),
+]
+Height = Annotated[float | None, typer.Option(help="Of a person, m; with --mass and --sex, in place of --body.")]
+Mass = Annotated[float | None, typer.Option(help="Of a person, kg.")]
+Sex = Annotated[str | None, typer.Option(help="Of a person: f or m.")]
+Payload = Annotated[float, Setting("what a person's limb carries, kg", float, least=0)]
+Limb = Annotated[str, Setting("limb of a person: arm, arm_and_hand or leg; default: arm")]
 Units = Annotated[str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")]
 FrameRate = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the file has no times.")]
 Frames = Annotated[str, typer.Option(help="Rows to use of the first recording, such as 50:250.")]

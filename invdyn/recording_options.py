@@ -7,16 +7,21 @@ from typing import Annotated, Any
 import typer
 
 from .options import (
-    BodyFile,
     Calibration,
     Checkpoint,
     FileFormat,
     FrameRate,
     Frames,
+    Height,
     Individual,
+    Limb,
     Mapping,
+    Mass,
     Offset,
+    Payload,
     Person,
+    PersonOrBody,
+    Sex,
     Tracker,
     Units,
     ZeroTorque,
@@ -51,7 +56,10 @@ class Recorded:
             "with --calibration one file of pixels for each camera.",
         ),
     ]
-    body: BodyFile
+    body: PersonOrBody = None
+    height: Height = None
+    mass: Mass = None
+    sex: Sex = None
     units: Units = None
     fps: FrameRate = None
     scale: Annotated[
@@ -73,15 +81,30 @@ class Recorded:
     format: FileFormat = None
     individual: Individual = None
     person: Person = None
+    limb: Limb = "arm"
+    payload: Payload = 0.0
     plane: Annotated[
         str | None, Setting("axes of a file in space that point right and up, such as xz; default: the two that change")
     ] = None
     tracks: Annotated[Path | None, Setting("where a film's tracks go: .csv; default: next to the output")] = None
 
     def check_exist(self) -> None:
-        """Raise FileNotFoundError for a file that is nowhere, before anything large is imported."""
+        """Raise FileNotFoundError for a file that is nowhere, before anything large is imported.
+
+        Raises InputError unless there is a body file, or all that is asked for of a person.
+        """
+        from invdyn.recordings import InputError
+
         from .input_names import check_exist
 
+        said = {f"--{name}": getattr(self, name) is not None for name in ("height", "mass", "sex")}
+        if self.body is not None and any(said.values()):
+            raise InputError(f"--body and {next(name for name in said if said[name])}: leave one of them out")
+        if self.body is None and not all(said.values()):
+            missing = ", ".join(name for name in said if not said[name])
+            raise InputError(
+                f"expected --body, or a person's --height, --mass and --sex; missing: --body, or {missing}"
+            )
         check_exist(*self.tracked, *(() if self.calibration else self.other_recordings), body=self.body)
 
     @property
@@ -105,7 +128,7 @@ class Recorded:
         network = [] if self.tracker in (None, "left", "right") else [str(self.tracker)]
         named = (
             *self.tracked,
-            self.body,
+            *([self.body] if self.body else ()),
             *network,
             *(self.calibration or ()),
             *([self.mapping] if self.mapping else ()),
@@ -135,6 +158,10 @@ class Recorded:
         """The body, of as many dimensions as the recording shows of a robot's file; see `inputs.load_body`."""
         from .inputs import TABLE, load_body, source_of
 
+        if self.body is None:
+            from invdyn.models import person
+
+            return person(self.height, self.mass, self.sex, self.limb, self.payload)
         names = ("units", "fps", "format", "individual")
         options = {name: getattr(self, name) for name in names}
         if isinstance(self.metres_a_pixel, float):

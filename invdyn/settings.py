@@ -16,7 +16,8 @@ from typer.core import TyperCommand
 COLUMN = 26  # characters of a help's first column
 MIN_GROUPED = 12  # options of a command from which on they stand in groups
 GROUPS = {
-    "Recording": "body units fps scale base frames calibration offset tracker mapping others held_out camera",
+    "Recording": "body height mass sex units fps scale base frames calibration offset tracker mapping others held_out "
+    "camera",
     "Model": "zero_torque hide_torque truth learn torque noise kinematic",
     "Scene": "length find up refine fit",
     "Search": "exclude estimate max_effects budget force",

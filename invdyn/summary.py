@@ -72,8 +72,23 @@ def _too_few(idata: az.InferenceData) -> list[str]:
     ]
 
 
+MIN_OUTER_ESS = 32
+"""Filters, or half of them where there are fewer: of fewer that count, the bands of another run would differ."""
+
+
+def _uneven(idata: az.InferenceData) -> list[str]:
+    """A warning, with what to do, where few of the filters carry the weight; none of a method without filters."""
+    filters, outer = idata["sample_stats"].sizes["filter"], idata.attrs["outer_ess"]
+    if "ess" not in idata["sample_stats"] or outer >= min(MIN_OUTER_ESS, filters / 2):
+        return []
+    return [
+        f"warning: {outer:.2g} of {filters} filters carry the weight, so that another seed's bands would differ: raise "
+        "--particles, tenfold; if that does not help, the model does not fit: look at the predicted keypoints"
+    ]
+
+
 def summary_text(idata: az.InferenceData) -> str:
-    """The table above and a line on evidence and sampler, where the method has them, for a terminal."""
+    """What is in doubt first; then the table above and a line on evidence and sampler, where the method has them."""
     filters, frames = idata["sample_stats"].sizes["filter"], idata["posterior"].sizes["time"]
     quantity = "torque" if "torque" in idata["posterior"] else "angle"
     table = quantity_table(idata, quantity).to_string(float_format=lambda value: f"{value:.3g}")
@@ -86,17 +101,19 @@ def summary_text(idata: az.InferenceData) -> str:
     if "ess" in idata["sample_stats"]:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
     unit = idata["posterior"][quantity].attrs["units"]
-    lines = [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
+    settings = json.loads(idata.attrs["settings"])
+    doubts = [*settings.get("in_doubt", []), *_too_few(idata), *_uneven(idata)]
+    lines = [f"{line}\n" * (line is doubts[-1]) or line for line in doubts]
+    lines += [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     length = idata["posterior"]["position"].attrs["units"]
     lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
-    settings = json.loads(idata.attrs["settings"])
     if torques := settings.get("torque_evidence"):
         best = max(torques, key=torques.get)
         others = " and ".join(f"{name} {torques[best] - torques[name]:.1f} nat" for name in torques if name != best)
         lines.append(f"torque process {best}, by evidence; behind it {others}")
     notes = ("body_doubt", "engine", "charts", "unseen", "hidden", "base")
     lines += [str(idata.attrs[note]) for note in notes if note in idata.attrs]
-    return "\n".join(lines + settings.get("in_doubt", []) + _too_few(idata))
+    return "\n".join(lines)
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}

@@ -6,6 +6,7 @@ from .bodies.dh import from_dh as from_dh
 from .bodies.joints import Joint as Joint
 from .bodies.link import Link as Link
 from .bodies.mjcf_writer import write_mjcf as write_mjcf
+from .bodies.person import person as person
 from .bodies.planar import BodyParameters as BodyParameters
 from .bodies.protocol import ArticulatedBody as ArticulatedBody
 from .bodies.protocol import BodyBase as BodyBase

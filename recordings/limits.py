@@ -66,6 +66,9 @@ class Plausible:
             to their joints rarely reach it.
         misfit_left: of the misfit, at most, after exchanging two names that were exchanged.
         repeats: rows with the same position to the last digit, at least, for a warning.
+        farther: times the longest step of a track that a number which stands for missing is off, but for 0, at least.
+        finer: times a track's resolution that its noise is, at least, if no position repeats by chance.
+        least_noise: of a track's range, under which a track is simulated, or drawn, without noise.
         positions: rows with a position, at least, for their longest step to be meaningful.
         low_likelihood: of a keypoint's median.
         stamp_difference: frame intervals between two cameras' stamps of one moment, at most.
@@ -90,6 +93,9 @@ class Plausible:
     misfit: float = 0.15
     misfit_left: float = 0.3
     repeats: int = 3
+    farther: float = 3.0
+    finer: float = 5.0
+    least_noise: float = 1e-4
     positions: int = 10
     low_likelihood: float = 0.5
     stamp_difference: float = 0.05

@@ -16,6 +16,7 @@ from .paths import check_readable, resolved
 from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
 from .recording import Recording
+from .repairs import repaired
 from .units import FRAMES, Units, parse_units, to_si
 from .zero_likelihood import without_zeros
 
@@ -75,6 +76,7 @@ def load(
         catalogue.check_exists(path)
         recording = read_file(path, units, fps, keypoints, joints, format, base, scale, individual, plane, shifting)
     with about(path_or_name):
+        recording = repaired(recording, shifting)
         recording = _keep(recording, keypoints, joints, base)
         for p, name in enumerate(recording.keypoint_names):
             if not np.isfinite(recording.keypoints[:, p]).all(axis=-1).any():

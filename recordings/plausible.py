@@ -149,6 +149,22 @@ def check_in_space(
                 _check_turning(name, angle, recording.time, levers[name], units)
 
 
+def check_scale(recording: Recording, distances: Mapping[tuple[str, str], float], base: np.ndarray) -> None:
+    """Raise InputError where a distance is off by more than a factor of 3, as it is in another unit.
+
+    ``distances`` are as of :func:`check_in_space`, in the body's unit; ``base`` is the first joint's place (S,), or its
+    track (T, S).
+    """
+    known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
+    shape = (recording.num_frames, recording.keypoints.shape[-1])
+    if base.shape[-1] == shape[-1]:
+        known[BASE] = np.broadcast_to(base, shape)
+    for pair, length in distances.items():
+        if set(pair) <= known.keys():
+            (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
+            _check_length(pair, observed, length, True, recording)
+
+
 def _odd_columns(recording: Recording) -> str:
     """Advice where some columns seem to be in a smaller unit than the others; "" where none are.
 
@@ -181,6 +197,8 @@ def _check_length(ends: tuple[str, str], observed: float, length: float, guessed
             "check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
             f"{PLAUSIBLE.length_ratio:g}"
         )
+        if unit == "px":
+            usual = "scale the keypoints to the body's unit, by load(…, scale=metres a pixel) or in_body_lengths"
         raise InputError(
             f"{ends[0]} and {ends[1]} lie {observed:.3g} {unit} apart (median), but the body's link is {length:.3g} "
             f"{unit} long: {_odd_columns(recording) or usual}"

@@ -31,9 +31,9 @@ from invdyn.diagnosis.prediction.predict import seen_tips, whitened
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.outliers import calm
-from invdyn.inference.posterior.jitter import jitter
 from invdyn.models.effects.base import stages_of
 from invdyn.models.observation.mixture import MistakenRows
+from invdyn.recordings.jitter import jitter
 
 
 def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:

@@ -26,13 +26,13 @@ from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_nu
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.posterior.initialise import Problem, arm_problem, sufficient_substeps
-from invdyn.inference.posterior.jitter import jitter
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.articulated.as_filed import FiledStep, answered, engine_steps
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.scale import typical_torque
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, joined
+from invdyn.recordings.jitter import jitter
 
 
 class NotEnoughData(InputError):

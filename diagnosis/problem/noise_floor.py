@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.inference.posterior.jitter import MEDIAN, differences, jitter
+from invdyn.recordings.jitter import MEDIAN, differences, jitter
 
 Growth = Callable[[np.ndarray, float], np.ndarray]
 """Speeds (N,) and k → noise, in units of that at rest."""

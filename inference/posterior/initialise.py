@@ -24,7 +24,6 @@ from invdyn.inference.posterior.base_motion import Base, hold_base
 from invdyn.inference.posterior.body_doubt import is_doubted, with_doubted_body
 from invdyn.inference.posterior.cameras import LEARNED, pixels_of, started
 from invdyn.inference.posterior.charts import chosen, poles
-from invdyn.inference.posterior.jitter import jitter, point_jitter, robust_sd, seen_vectors
 from invdyn.inference.posterior.lengths import with_observed_lengths
 from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import (
@@ -47,6 +46,7 @@ from invdyn.models.observation.pixels import DEFAULT_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, Truth
 from invdyn.recordings.cameras import Filmed
+from invdyn.recordings.jitter import jitter, point_jitter, robust_sd, seen_vectors
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 OUTLIER_RATIO = 20.0

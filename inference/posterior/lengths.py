@@ -1,6 +1,10 @@
-"""Lengths of links from what was recorded: the median distance between neighbouring joints, where learning begins."""
+"""Lengths of links from what was recorded: the median distance between neighbouring joints, where learning begins.
+
+And what a fit has made of them.
+"""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -52,3 +56,19 @@ def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
     distance = np.linalg.norm(end - start, axis=-1)
     seen = np.isfinite(distance)
     return float(np.median(distance[seen])) if seen.any() else None
+
+
+def as_fitted(problem: Any) -> Any:
+    """The body of an arm's problem with its learned numbers as they were fitted, so that draws of it keep them.
+
+    Of a tree learned numbers begin where they are stated.
+    """
+    body = problem.model.body
+    if not (isinstance(body, Body) and body.is_chain and body.learned):
+        return body
+    links = list(body.links)
+    for quantity, entries in body.learned.items():
+        values = problem.model.parameters[f"body.{quantity}"].tolist()
+        for place in entries:
+            links[place] = replace(links[place], **{quantity: values[place]})
+    return replace(body, links=links)

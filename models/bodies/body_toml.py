@@ -18,6 +18,8 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
 
     mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
     mass = {start = 1.5}            # learned from the recording, beginning here
+
+A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`.
 """
 
 import difflib
@@ -35,6 +37,8 @@ from invdyn.models.bodies.whole_file import write_whole
 BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
 REQUIRED = ("name", "joint", "tip", "length", "mass")
 LINK_KEYS = (*REQUIRED, "com", "inertia")
+LOAD = "load"
+"""A point mass that a link carries, see :mod:`.load`."""
 
 
 def parse(content: bytes, path: str) -> dict:
@@ -106,7 +110,7 @@ def _key(name: str) -> str:
 
 def _read_link(link: dict, where: str) -> dict:
     parts = joint_parts_toml.taken(link, where)
-    check_keys(link, (*LINK_KEYS, *joint_parts_toml.KEYS), where)
+    check_keys(link, (*LINK_KEYS, LOAD, *joint_parts_toml.KEYS), where)
     missing = [key for key in REQUIRED if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")

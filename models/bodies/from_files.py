@@ -19,8 +19,10 @@ from invdyn.models.bodies import (
     robot_file,
     tree_toml,
 )
+from invdyn.models.bodies.body_toml import LOAD
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.load import loaded
 from invdyn.models.bodies.parts import Robot, is_planar_chain
 from invdyn.models.bodies.placeholders import Moment, placeholder_warning
 from invdyn.models.bodies.scalars import BodyError, nominal
@@ -113,10 +115,10 @@ class FromFiles:
         try:
             if dimensions == 2:
                 own = {key: value for key, value in tables.items() if key != "exact"}
-                chain = planar.chained(**own | {"links": [Link(**link) for link in tables["links"]]})
+                chain = planar.chained(**own | {"links": [_link(link) for link in tables["links"]]})
                 body = cls(**chain, exact=tables.get("exact", True))
             else:
-                links = [Link(**link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
+                links = [_link(link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
                 body = cls(**tables | {"links": links})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
@@ -154,3 +156,7 @@ class FromFiles:
             for link in self.links
         ]
         tree_toml.write(path, self.name, self.gravity, links, self.uncertainty)
+
+
+def _link(table: dict) -> Link:
+    return loaded(Link(**{key: value for key, value in table.items() if key != LOAD}), table.get(LOAD))

@@ -30,6 +30,7 @@
 
 `reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be
 a table, as in planar files: {mean = 1.5, sd = 0.1} or {start = 1.5}; each of com, inertia, origin and a site's too.
+A load is `load = {mass = 2.0, at = [0.25, 0.0, 0.0]}`, at in the link's frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,6 +38,7 @@ from pathlib import Path
 
 from invdyn.models.bodies import joint_parts_toml
 from invdyn.models.bodies.body_toml import (
+    LOAD,
     literal,
     parse,
     scalar_from_table,
@@ -122,7 +124,7 @@ def _written(link: dict) -> dict:
 def _link(link: dict, where: str) -> dict:
     link = dict(link)
     parts = joint_parts_toml.taken(link, where)
-    check_keys(link, (*LINK_KEYS, *joint_parts_toml.KEYS), where)
+    check_keys(link, (*LINK_KEYS, LOAD, *joint_parts_toml.KEYS), where)
     missing = [key for key in ("name", "joint") if key not in link]
     if missing:
         raise BodyError(f"{where}: expected the keys name and joint; missing: {', '.join(missing)}")
@@ -139,6 +141,8 @@ def _link(link: dict, where: str) -> dict:
     made |= {key: _vector(link[key], f"{where}: {key}") for key in VECTORS if key in link}
     if parts is not None:
         made["parts"] = parts
+    if LOAD in link:
+        made[LOAD] = link[LOAD]
     if "sites" in link:
         if not isinstance(link["sites"], dict):
             raise BodyError(f"{where}: expected sites as a table, {{name = [x, y, z]}}, got {link['sites']!r:.60}")

@@ -30,7 +30,10 @@ LEFT_OUT = pytest.mark.filterwarnings("ignore:.*a rigid body leaves out:UserWarn
 RUN = {
     "": None,  # commands: test_docs.py parses them, test_docs_inline.py what is not ours
     # Names of files, words for another program's command, and an error's line.
-    "text": {ROOT / "docs" / "blind_protocol.md", ROOT / "docs" / "how-to" / "own_model.md"},
+    "text": {
+        ROOT / "docs" / "blind_protocol.md",
+        *(ROOT / "docs" / "how-to" / f"{n}.md" for n in ("film", "own_model")),
+    },
     "python": {*GUIDES, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "files.md"},
     "toml": {*GUIDES, ROOT / "docs" / "files.md"},
     "csv": {ROOT / "docs" / "files.md"},

@@ -39,3 +39,12 @@ def test_the_table_says_so(doubted):
     assert "90899" not in text
     assert "12.30" in text
     assert DOUBT in text
+
+
+def test_few_filters_that_count_say_what_to_do(make_posterior):
+    idata = make_posterior(num_filters=6)
+    assert "carry the weight" not in summary_text(idata)
+    idata.attrs["outer_ess"] = 1.7
+    first = summary_text(idata).splitlines()[0]
+    assert first.startswith("warning: 1.7 of 6 filters carry the weight")
+    assert "raise --particles" in first

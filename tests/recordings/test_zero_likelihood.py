@@ -51,27 +51,64 @@ def test_the_corner_of_an_image_is_missing_and_told():
     np.testing.assert_array_equal(without_zeros(relative, pixels=True).keypoints, points)
 
 
-@pytest.mark.parametrize(
-    ("low", "rows", "told"),
-    [(0.1, 5, True), (0.95, 5, False), (0.1, 2, False), (np.nan, 5, False), (np.nan, 20, False)],
-)
-def test_a_place_kept_at_a_low_likelihood_is_told(low, rows, told):
+def with_repeats(low, rows, digits):
+    """A heel that is written again in some rows, at some likelihood; tracks with noise, to so many digits."""
     confidence = sure()
     confidence[20 : 20 + rows, 1] = low
     if rows == 20:
         confidence[:, 1] = low  # in every frame
-    recording = tracks(confidence)
-    points = recording.keypoints.copy()
-    points[20 : 20 + rows, 1] = [140.0, 150.0]
-    recording = Recording(TIME, points, recording.keypoint_names, confidence=confidence)
+    points = 150 + 40 * np.sin(6 * TIME)[:, None, None] * [[1.0, 0.5], [0.4, 1.0]]
+    points = np.round(points + np.random.default_rng(2).normal(0, 0.3, points.shape), digits)
+    points[20 : 20 + rows, 1] = points[20, 1]
+    return Recording(TIME, points, ("knee", "heel"), confidence=confidence)
+
+
+@pytest.mark.parametrize("low", [0.1, 0.95, np.nan])
+def test_a_place_that_noise_could_not_repeat_is_missing_and_told(low):
+    recording = with_repeats(low, 5, 6)
+    with pytest.warns(UserWarning, match=r"heel stands still to the last digit in 4 rows, first from row 22 to 25"):
+        kept = without_zeros(recording, pixels=True)
+    lost = np.isnan(kept.keypoints).all(-1)
+    np.testing.assert_array_equal(np.argwhere(lost), [[row, 1] for row in range(21, 25)])
+    np.testing.assert_array_equal(kept.keypoints[~lost], recording.keypoints[~lost])
+
+
+def test_a_marker_without_confidence_that_is_written_again_is_missing():
+    recording = Recording(TIME, with_repeats(0.9, 5, 6).keypoints, ("knee", "heel"))
+    with pytest.warns(UserWarning, match="heel stands still"):
+        assert np.isnan(without_zeros(recording, pixels=False).keypoints[21:25, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("low", "rows", "told"),
+    [(0.1, 5, True), (0.95, 5, False), (0.1, 2, False), (np.nan, 5, False), (np.nan, 20, False)],
+)
+def test_a_place_in_whole_pixels_that_is_kept_at_a_low_likelihood_is_told(low, rows, told):
+    recording = with_repeats(low, rows, 0)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         kept = without_zeros(recording, pixels=True)
-    np.testing.assert_array_equal(kept.keypoints, points)
-    assert [
-        str(each.message).startswith("heel stands still to the last digit in 5 rows, such as 21 to 25")
-        for each in caught
-    ] == [True] * told
+    np.testing.assert_array_equal(kept.keypoints, recording.keypoints)
+    said = [str(each.message) for each in caught]
+    assert len(said) == told
+    assert all("heel stands still to the last digit in " in each and "leave these cells empty" in each for each in said)
+
+
+def test_an_arm_at_rest_without_noise_is_there():
+    points = 0.3 + 0.2 * np.tile(np.clip(TIME - 0.4, 0, None)[:, None, None] ** 3, (1, 2, 2))
+    recording = Recording(TIME, points, ("knee", "heel"))
+    np.testing.assert_array_equal(without_zeros(recording, pixels=False).keypoints, points)
+
+
+@pytest.mark.parametrize("value", [-1.0, 0.0, 999.0])
+@pytest.mark.parametrize("pixels", [True, False])
+def test_a_number_that_stands_for_missing_is_missing(value, pixels):
+    points = with_repeats(0.9, 1, 6).keypoints * (1.0 if pixels else 0.01) + 0.0
+    points[[3, 7, 8], 0] = value
+    with pytest.warns(UserWarning, match=rf"knee is at .*\({value:g}, {value:g}\) in 3 of 40 rows: taken"):
+        kept = without_zeros(Recording(TIME, points, ("knee", "heel")), pixels=pixels).keypoints
+    assert np.isnan(kept[[3, 7, 8], 0]).all()
+    assert np.isfinite(kept).sum() == points.size - 6
 
 
 def metric(zeros=(10, 17), offset=(0.4, 1.2, 0.1)):

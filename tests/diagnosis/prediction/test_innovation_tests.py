@@ -19,9 +19,9 @@ from invdyn.diagnosis.prediction.innovation_tests import (
 from invdyn.diagnosis.prediction.predict import seen_tips
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
-from invdyn.inference.posterior.jitter import MEDIAN
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings.jitter import MEDIAN
 from invdyn.simulate import random_arm, record
 
 

@@ -7,7 +7,7 @@ import torch
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest as noise_of_points
 from invdyn.diagnosis.problem.noise_floor import shrunk, variance_of_log
 from invdyn.diagnosis.problem.outliers import calm
-from invdyn.inference.posterior.jitter import jitter
+from invdyn.recordings.jitter import jitter
 
 SIGMA, ROWS = 0.001, 800
 TIME = np.arange(ROWS) / 100

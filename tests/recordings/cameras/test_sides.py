@@ -5,7 +5,7 @@ import pytest
 from scenes import ring
 
 from invdyn.recordings.cameras import Views, project, put_in_order, sides_kept
-from invdyn.recordings.cameras.sides import exchanged, pairs_of
+from invdyn.recordings.sides import exchanged, pairs_of
 
 NAMES = ("L_hip", "nose", "R_hip", "R_wrist", "L_wrist")
 ROWS = 60

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from invdyn.inference.posterior.jitter import ORDERS, jitter, point_jitter
+from invdyn.recordings.jitter import ORDERS, jitter, point_jitter
 
 
 def test_noise_is_estimated_next_to_a_fast_motion():
