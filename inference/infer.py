@@ -12,7 +12,7 @@ from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.task import prepare
 from invdyn.models import ArticulatedBody, TorqueProcess
-from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings import InputError, Recording, SiteForce, Truth
 
 
 def infer(
@@ -39,6 +39,7 @@ def infer(
     executor: Executor | None = None,
     checkpoint: str | Path | None = None,
     learn_cameras: Sequence[str] = (),
+    forces: Sequence[SiteForce] = (),
 ) -> az.InferenceData:
     """Infer the torques that moved a recorded body.
 
@@ -68,6 +69,7 @@ def infer(
         checkpoint: folder of this run, made when missing: the fit, the guide and the filters that are done are kept
             there, so that the same call continues where it was interrupted.
         learn_cameras: what is not known of a film's cameras, see :func:`arm_problem`.
+        forces: known ones on keypoints, which act beside the torques; :func:`invdyn.recordings.read_forces`.
 
     Returns:
         InferenceData as :mod:`.posterior` lays it out.
@@ -98,5 +100,6 @@ def infer(
         passive=passive,
         checkpoint=checkpoint,
         learn_cameras=learn_cameras,
+        forces=forces,
     )
     return task.run(method, progress, executor, learn=True)

@@ -25,6 +25,7 @@ from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
+from invdyn.models.articulated.applied_force import AppliedForce
 from invdyn.recordings import InputError, Recording, Truth
 
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
@@ -187,6 +188,8 @@ def prepare(
         "family": problem.model.observation.family,
         "torque_process": type(problem.model.torque).__name__,
     }
+    if forces := [str(effect.where[0]) for effect in model.effects if isinstance(effect, AppliedForce)]:
+        record["forces"] = forces
     if doubts:
         record["in_doubt"] = doubts
     if len(problems) > 1:
@@ -245,6 +248,7 @@ def _fingerprint(
         "torques": ", ".join(f"{type(torque).__name__} {vars(torque)}" for torque in torques),
         "integrator": f"{model.integrator}, {model.substeps} sub-steps",
         "family": observation.family,
+        "forces": [repr(effect) for effect in model.effects],
         "seed": seed,
         **{name: str(value) for name, value in asdict(options).items()},
     }

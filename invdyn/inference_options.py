@@ -5,6 +5,7 @@ import re
 from collections.abc import Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -50,6 +51,9 @@ class Inference(Recorded):
             "keypoint; default: gaussian, and student_t for pixels."
         ),
     ] = None
+    forces: Annotated[
+        Path | None, typer.Option(help="Known forces on keypoints, N: .csv of time, <keypoint>_fx, <keypoint>_fy.")
+    ] = None
     filters: Filters = 64
     particles: Particles = 100
     draws: Draws = 4
@@ -74,8 +78,8 @@ class Inference(Recorded):
 
     @property
     def other_recordings(self) -> list[str]:
-        """The truth."""
-        return [] if self.truth is None else [self.truth]
+        """The truth, and forces."""
+        return [str(each) for each in (self.truth, self.forces) if each is not None]
 
     @property
     def learned(self) -> list[str]:
@@ -114,7 +118,7 @@ class Inference(Recorded):
 
         ``more`` are options of readers. Raises as readers do.
         """
-        from invdyn.recordings import InputError
+        from invdyn.recordings import InputError, read_forces
 
         from .inputs import LOG, check_options, load_known, read_recordings, source_of
 
@@ -129,7 +133,10 @@ class Inference(Recorded):
         if len(readings) > 1:
             raise InputError(f"expected one recording, got {len(readings)} episodes: --set episodes=0 chooses one")
         truth = None if self.truth is None else load_known(self.truth, body)
-        return {"recording": readings[0].recording, "body": body, "truth": truth}, readings[0].film
+        read: dict[str, Any] = {"recording": readings[0].recording, "body": body, "truth": truth}
+        if self.forces is not None:
+            read["forces"] = read_forces(self.forces)
+        return read, readings[0].film
 
 
 def kinematic_arguments(arguments: dict[str, Any]) -> dict[str, Any]:

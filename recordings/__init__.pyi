@@ -8,6 +8,8 @@ from .catalogue import load_truth as load_truth
 from .catalogue import names as names
 from .encoders import keypoints_from_angles as keypoints_from_angles
 from .errors import InputError as InputError
+from .forces import SiteForce as SiteForce
+from .forces import read_forces as read_forces
 from .formats.keypoint_csv import read_keypoint_csv as read_keypoint_csv
 from .formats.keypoint_csv import write_keypoint_csv as write_keypoint_csv
 from .formats.opensim import read_sto as read_sto

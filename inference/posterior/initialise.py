@@ -37,6 +37,7 @@ from invdyn.models import (
     TorqueProcess,
     dynamics_for,
 )
+from invdyn.models.articulated.applied_force import AppliedForce
 from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.models.articulated.start import joint_angle_sd, on_base_at_rest
@@ -44,7 +45,7 @@ from invdyn.models.kinematics import joint_angle_candidates
 from invdyn.models.observation.base_point import BasePoint
 from invdyn.models.observation.pixels import DEFAULT_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
-from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings import InputError, Recording, SiteForce, Truth
 from invdyn.recordings.cameras import Filmed
 from invdyn.recordings.jitter import jitter, point_jitter, robust_sd, seen_vectors
 
@@ -108,6 +109,7 @@ def arm_problem(
     passive: bool = False,
     truth: Truth | None = None,
     learn_cameras: Sequence[str] = (),
+    forces: Sequence[SiteForce] = (),
     origin: float | None = None,
     moving_base: bool = False,
 ) -> Problem:
@@ -126,6 +128,7 @@ def arm_problem(
         truth: to compare with.
         learn_cameras: what of a film's cameras is not known: "offset" and "pose" of all but the first, or, instead of
             poses, "turn", how each is rotated about its place.
+        forces: known ones on keypoints of the body, with the recording's clock.
         origin: see :class:`Problem`; by default the time of the first row.
         moving_base: let the base move as its track says, where the recording has one that moves; else it is at rest.
 
@@ -196,6 +199,10 @@ def arm_problem(
         model = ArmModel(body, time, observation, substeps=substeps or 1, **options)
     except (UnknownParameter, WrongValue) as error:
         raise InputError(f"settings: {error.args[0]}") from None
+    for each in forces:
+        each.check(body.keypoint_names, recording.time, body.dimensions)
+    if forces:
+        model = model.with_effects(*(AppliedForce(each.keypoint, each.time - origin, each.force) for each in forces))
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
     known = None if truth is None else truth.at(recording.time)
