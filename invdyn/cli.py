@@ -236,17 +236,17 @@ def diagnose(
     tracks = given.tracks_file(out.with_name(f"{out.name}.tracks.csv"))
     check_outputs([tracks, write_back], given.files)
     check_ending("a file of tracks", tracks, ".csv")
+    if given.body is None and (write_back is not None or ensemble is not None):
+        raise InputError("--write-back and --ensemble correct copies of a file: give --body, and no person's height")
     if write_back is not None:
-        if given.body is None:
-            raise InputError("--write-back corrects a copy of a file: give --body, and no person's height")
-        check_write_back(given.body, write_back)
+        check_write_back(str(given.body), write_back)
     copies = None
     if ensemble is not None:
         from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble
 
         count, copies = ensemble
         check_ensemble(count)
-        check_write_back(given.body, copies / Path(given.body).name)
+        check_write_back(str(given.body), copies / Path(str(given.body)).name)
         check_outputs([copies / "randomisation.json"], given.files)
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
@@ -261,10 +261,12 @@ def diagnose(
         if write_back is not None:
             held_out, recordings = arguments["held_out"], arguments["recording"]
             shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
-            diagnosis = corrected(diagnosis, given.body, arguments["body"], write_back, shown, held_out is not None)
+            diagnosis = corrected(
+                diagnosis, str(given.body), arguments["body"], write_back, shown, held_out is not None
+            )
         if ensemble is not None and copies is not None:
             with new_folder(copies):
-                write_ensemble(diagnosis, given.body, arguments["body"], copies, ensemble[0])
+                write_ensemble(diagnosis, str(given.body), arguments["body"], copies, ensemble[0])
         save(diagnosis, out, workers=arguments["workers"])
     say(verdict(diagnosis))
     for sentence in details(diagnosis):

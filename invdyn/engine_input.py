@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .inference_options import Inference
 
 ENGINES = ("auto", "mujoco", "own")
-UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint")
+UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint", "forces")
 """Options that have no part in an inference by MuJoCo's engine."""
 
 
@@ -36,6 +36,10 @@ def engine_reasons(given: "Inference", engine: str) -> list[str] | None:
         return None
     if not table:
         raise InputError("--set engine=mujoco: expected a table of keypoints or angles: track or export it first")
+    if given.body is None:
+        if engine == "mujoco":
+            raise InputError("--set engine=mujoco: expected --body with MuJoCo's file, got a person's height")
+        return None
     with body_file(given.body) as path:
         found = reasons_for_engine(path)
     if engine == "mujoco":
@@ -64,7 +68,7 @@ def infer_by_engine(
     options = {key: getattr(given, key) for key in ("units", "fps", "format", "individual")}
     seen = load(name, **options)
     flat = given.plane is not None or not in_space(seen)
-    with body_file(given.body) as path:
+    with body_file(str(given.body)) as path:
         scene = Scene.of(Path(path), dimensions=2 if flat and seen.keypoint_names else 3)
     slides = tuple(
         joint for joint, dof in zip(scene.joint_names, scene.model.dof_jntid, strict=True)

@@ -33,12 +33,12 @@ import torch
 from scipy.optimize import least_squares
 
 from invdyn.inference.plausible_for_body import distances_of_base, rooted, site_at_base
-from invdyn.inference.posterior.jitter import point_jitter
 from invdyn.models import ArticulatedBody, Body
 from invdyn.models.articulated.base_track import filtered, without_outliers
 from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Filmed
+from invdyn.recordings.jitter import point_jitter
 
 AHEAD, FELT, SHIFTED = 10.0, 0.01, 3.0
 """Nats; share of gravity; times the noise."""
