@@ -32,6 +32,9 @@ def loaded(link: Link, load: Any) -> Link:
     mass = number(load["mass"], f"{where}: mass in kg")
     if not mass > 0:
         raise BodyError(f"{where}: expected a positive mass in kg, got {mass:g}")
+    at: Any
+    com: Any
+    inertia: Any
     own = [link.mass, link.com, link.inertia]
     if not all(value is None or _is_known(value) for value in own):
         raise BodyError(f"{where}: expected numbers as the link's own mass, com and inertia, got a prior or a start")
