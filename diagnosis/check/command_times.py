@@ -86,17 +86,17 @@ def late_commands(
         found.append(("rare", (), words, "log them at the rate of the controller", float(rare[0]), rare[1]))
     worth = []
     for kind, group, words, turn, value, given in found:
-        left = fit.explain(motion.recommanded(given))
-        if left.misfit > min(limits.max_remaining * own.misfit, limits.max_right_misfit):
+        righted = fit.explain(motion.recommanded(given))
+        if righted.misfit > min(limits.max_remaining * own.misfit, limits.max_right_misfit):
             continue
-        if (after := left.missed(group)) > limits.max_joint_misfit:
+        if (after := righted.missed(group)) > limits.max_joint_misfit:
             continue
         # a servo's target that leads more asks for more damping, whatever the reason
-        taken = fit.by_damping(motion, left.values)
-        if share(taken, left.required, group) > limits.max_damping_share:
+        taken = fit.by_damping(motion, righted.values)
+        if share(taken, righted.required, group) > limits.max_damping_share:
             continue
-        before = float(np.linalg.norm(fit.left_by_values(motion, left.values)) / np.linalg.norm(left.required))
-        worth.append((left.misfit, LateCommands(kind, group, words, turn, value, before, after, given)))
+        before = share(fit.left_by_values(motion, righted.values), righted.required, group)
+        worth.append((righted.misfit, LateCommands(kind, group, words, turn, value, before, after, given)))
     most = limits.equal_misfit * min((misfit for misfit, _ in worth), default=0.0)
     # a delay has one number, and a drift two
     return next((late for misfit, late in worth if misfit <= most), None)

@@ -67,8 +67,8 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
         strays = {} if values is None else {k: own for k, v in enumerate(values.T) if (own := _strays(v, rules))}
         for constant in dict.fromkeys(c for c, _ in strays.values()):
             joints = tuple(k for k, (c, _) in strays.items() if c == constant)
-            rows = max(int(strays[k][1].sum()) for k in joints)
-            words = f"{rows} of {len(angles)} rows have the {what} {constant:.6g}, far from the rows around them"
+            count = max(int(strays[k][1].sum()) for k in joints)
+            words = f"{count} of {len(angles)} rows have the {what} {constant:.6g}, far from the rows around them"
             turn = "leave these rows out: another publisher's, or no reading"
             found.append(RowMistake("stray", joints, words, turn, constant))
         for k, (_, rows) in strays.items():
@@ -143,7 +143,7 @@ def _modulus(values: np.ndarray, factor: float, rules: Rules) -> float | None:
     if not jumps.any() or jumps.mean() > 0.2 or not len(small) or small.max() > (1 - rules.check.min_jump) * spread:
         return None
     # a jump is the modulus less what the joint moved meanwhile
-    around = np.array([_usual(steps, jumps, at) for at in np.flatnonzero(jumps)])
+    around = np.array([_usual(steps, jumps, at) for at in np.flatnonzero(jumps).tolist()])
     modulus = float(np.median(np.abs(steps[jumps] - around))) / factor
     if np.abs(np.abs(steps[jumps] - around) / factor - modulus).max() > 0.1 * modulus:
         return None

@@ -250,8 +250,8 @@ def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -
         yield from _searched(made, by_zero, np.array(rules.zero_grid), math.radians(30), rules.min_zero)
     for group in _groups(joints):
         if moving[list(group)].all() and len({by_target[k] for k in group}) == 1:
-            for made in (_scale, _gain)[: 1 + by_target[group[0]]]:
-                scaled = partial(made, group, joints, by_target[group[0]])
+            for factored in (_scale, _gain)[: 1 + by_target[group[0]]]:
+                scaled = partial(factored, group, joints, by_target[group[0]])
                 by_factor, grid = partial(_misfit_of, left, scaled), np.log(rules.factor_grid)
                 yield from _searched(scaled, by_factor, grid, 0.6, math.log(rules.max_gain), ends=True)
     for k in np.flatnonzero(moving).tolist():

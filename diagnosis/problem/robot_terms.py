@@ -148,8 +148,13 @@ class RobotTerms:
         """The terms of servos that answer so many times as strongly, (K,), within the same limits."""
 
         def of(motor: Motor, by: float) -> Motor:
-            names = ("gain", "stiffness", "damping", "bias")
-            return replace(motor, **{name: by * getattr(motor, name) for name in names})
+            return replace(
+                motor,
+                gain=by * motor.gain,
+                stiffness=by * motor.stiffness,
+                damping=by * motor.damping,
+                bias=by * motor.bias,
+            )
 
         every = zip(servos(self.body, len(factor)), factor.tolist(), strict=True)
         parts = tuple(NOTHING if motor is None else replace(NOTHING, motor=of(motor, by)) for motor, by in every)

@@ -162,11 +162,11 @@ def _range(change: FileChange, values: np.ndarray) -> dict[str, Any]:
 
 def _not_told(diagnosis: Diagnosis) -> list[str]:
     """Numbers of the causes that the log says nothing of: as wide as the prior."""
-    found = {}
+    found: dict[str, None] = {}
     for cause in diagnosis.causes:
         every = [(f"{f.key}.{name}", e) for f in cause.effects for name, e in f.parameters.items()]
         every += [(f"{own.quantity} of {own.place}", own.change.after) for own in cause.learned]
-        found |= {name: None for name, e in every if e.narrowed > FIXED.min_unknown_share}
+        found |= dict.fromkeys(name for name, e in every if e.narrowed > FIXED.min_unknown_share)
     return list(found)
 
 

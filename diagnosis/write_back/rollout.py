@@ -225,9 +225,11 @@ def smoothed_states(time: np.ndarray, angle: np.ndarray) -> States:
             smooth = savgol_filter(rows, span, 3, deriv=order, delta=step)
             columns.append(np.interp(time, even, smooth, np.nan, np.nan))
         noise = max(float(np.sqrt(_left_out(rows, span))), FIXED.min_replay_noise)
-        sds.append((noise, *(3 * noise * float(np.linalg.norm(each)) for each in weights)))
+        of_angle, of_velocity = (3 * noise * float(np.linalg.norm(each)) for each in weights)
+        sds.append((noise, of_angle, of_velocity))
     q, qd = (np.stack(columns, -1) for columns in found)
-    return States(q, qd, *np.array(sds).T)
+    noises, q_sd, qd_sd = np.array(sds).T
+    return States(q, qd, noises, q_sd, qd_sd)
 
 
 def _left_out(rows: np.ndarray, span: int) -> float:

@@ -67,7 +67,7 @@ def _fluid(option: Any) -> list[str]:
 
 def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
     open_ones = ~np.isin(np.arange(model.nu), list(motors))
-    open_ones &= [acts(mujoco, model, a) for a in range(model.nu)] if model.nu else True
+    open_ones = open_ones & np.array([acts(mujoco, model, a) for a in range(model.nu)], dtype=bool)
     targets = model.actuator_biasprm[:, 1:3].any(1)
     through = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
