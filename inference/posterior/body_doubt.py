@@ -22,6 +22,8 @@ in the motion: commands that are known, or lengths before keypoints.
 Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -54,7 +56,7 @@ def is_doubted(model: ArmModel) -> bool:
     return not (body.exact or body.uncertainty or body.has_priors)
 
 
-def drawn(model: ArmModel, shape: tuple[int, ...]) -> tuple:
+def drawn(model: ArmModel, shape: tuple[int, ...]) -> Any:
     """Draws of the body's numbers, each (*shape, own), by torch's global generator."""
     numbers = model.body_parameters()
 

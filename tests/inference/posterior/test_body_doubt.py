@@ -11,8 +11,11 @@ from invdyn.cli import app
 from invdyn.inference import infer, load_posterior, mechanics, pooled
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior import body_doubt
+from invdyn.inference.posterior.body_doubt import CHANGED
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.models import Body, Joint, Link, planar_body, write_mjcf
+from invdyn.inference.posterior.problem import Contents
+from invdyn.models import ArmModel, Body, Joint, Link, planar_body, write_mjcf
+from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.models.effects.inertias import size_of
 from invdyn.recordings import Recording
 
@@ -152,6 +155,24 @@ def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
     scale = expected.diagonal().sqrt()
     # 4,000 draws tell a correlation to 1.6 %, a variance to 2.2 %.
     assert ((expected - sampled) / torch.outer(scale, scale)).abs().max() < 0.08
+
+
+@pytest.mark.parametrize("base", [None, MovingBase(3)], ids=["at rest", "moving"])
+def test_a_body_that_is_heavier_needs_as_much_more_torque(base, monkeypatch):
+    """All masses and moments by a tenth: the same motion under a tenth more torque, on a base that moves, too."""
+    model = ArmModel(replace(TREE, exact=False), 0.04 * np.arange(6), base=base)
+    p = model.body_parameters()
+
+    def heavier(model, shape):
+        own = p._replace(mass=1.1 * p.mass, inertia=1.1 * p.inertia)
+        return own._replace(**{name: getattr(own, name).expand(*shape, *getattr(own, name).shape) for name in CHANGED})
+
+    monkeypatch.setattr(body_doubt, "drawn", heavier)
+    paths = torch.as_tensor(np.random.default_rng(0).normal(size=(3, 2, 6, model.state_dim)))
+    torque = {"torque": ([], model.net_torque(paths))}
+    contents = Contents(torque, {}, {}, {}, {}, {"torque": "N·m"})
+    found = body_doubt.with_doubted_body(contents, model, paths).posterior
+    torch.testing.assert_close(found["torque"][1], 1.1 * found["stated_torque"][1])
 
 
 @pytest.mark.long
