@@ -11,6 +11,9 @@ u is the commanded torque, constant between rows; without one, τ is the whole n
 noise of θ and θ̇ is "noise.angle" ε_θ (rad) and "noise.velocity" ε_θ̇ (rad/s), standard
 deviations per step, as printed in the paper.
 
+A base that moves (:mod:`.moving_base`) has states in z, after the torque process's own: the body then feels the gravity
+g − b̈, and every site is seen b farther.
+
 Within a step the mechanical integrator sees the torque move on a straight line from z to its
 mean one step later; explicit Euler takes it as constant, as printed.
 
