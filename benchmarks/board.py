@@ -166,7 +166,7 @@ def row(name: str, made: Callable[[], tuple[Given, Published]], budget: float | 
     answer, ours, seconds = regression_words(regression), "", f"{spent:.1f}"
     if budget is not None:
         start = time.process_time()
-        found = diagnose(recording, body, passive=passive, budget=budget, force=True)
+        found = diagnose(recording, body, passive=passive, budget=budget, robot=True, force=True)
         seconds += f"; {time.process_time() - start:.0f}"
         closing, answer = found.closing, verdict(found)
         if closing is not None:

@@ -94,7 +94,8 @@ def diagnose(
             the search counts its work instead (:mod:`.budget`), and the result does not.
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
             nor does what a cause leaves; by default `rules.evidence.tolerance`, of a ``robot`` its `robot_tolerance`.
-        robot: the recording is a real robot's, of which something is always left.
+        robot: the recording is a real robot's, of which something is always left, and which lacks effects at all
+            joints: the search starts from what a regression states of all of them.
         rules: the numbers that the diagnosis follows: `Rules().replace(temper_scale=500)`.
         checked: :func:`.check_before` was called for each recording. Else it is called here: it refuses what is
             certainly a mistake in the recording, and warns of what may be one.
@@ -190,7 +191,7 @@ def diagnose(
     if said is not None and interim is not None:
         interim(said)
     report(1, "screen and refine")
-    found = _searched(bound, without, workers, start_of(said, bound, passive))
+    found = _searched(bound, without, workers, start_of(said if robot else None, bound, passive))
     bound = found.problem
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason, rules)

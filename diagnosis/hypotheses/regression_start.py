@@ -1,8 +1,9 @@
 """The first hypothesis of a search: what a regression of the torque found, all effects at all their places at once.
 
 A real robot lacks an effect everywhere, and a search that adds one at a time pays for each as for a fault of its own.
-Where a regression (:mod:`..regression.regress`) states an effect at every joint, its set is refined first, and the
-search goes on from there. Such an effect counts as one statement in the prior (:func:`.prior.log_prior_of`).
+Where a regression (:mod:`..regression.regress`) of a robot's log states an effect at every joint, its set is refined
+first, and the search goes on from there. Such an effect counts as one statement in the prior
+(:func:`.prior.log_prior_of`).
 """
 
 from dataclasses import dataclass, field
@@ -44,7 +45,9 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     effects = list(model.effects)
     inertial = problem.catalogue.get(INERTIAL)
     links = sorted({place for kind, place, _ in regression.coefficients if kind == INERTIAL})
-    for link in links if inertial is not None else ():
+    for link in links:
+        if inertial is None:
+            break  # it is not looked for
         effect = inertial.effect(link).bound(problem.model.body)
         own, other = (inertia_of(each.body_parameters(), effect.place[0]) for each in (nominal, model))
         shift = (other.com - own.com).tolist()
