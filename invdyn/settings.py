@@ -44,7 +44,7 @@ class Setting:
         except ValueError:
             value = None
         if value is None or (self.least is not None and not value >= self.least):
-            what = {int: "a whole number", float: "a number", yes: "yes or no"}.get(self.kind, "a value")  # type: ignore[call-overload]
+            what = {int: "a whole number", float: "a number", yes: "yes or no"}.get(self.kind, "a value")
             least = "" if self.least is None else f" from {self.least:g} on"
             raise InputError(f"--set {name}: expected {what}{least}, got {text!r}")
         return value

@@ -116,7 +116,7 @@ class FromFiles:
             if dimensions == 2:
                 own = {key: value for key, value in tables.items() if key != "exact"}
                 chain = planar.chained(**own | {"links": [_link(link) for link in tables["links"]]})
-                body = cls(**chain, exact=tables.get("exact", True))
+                body = cls(**chain | {"exact": tables.get("exact", True)})
             else:
                 links = [_link(link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
                 body = cls(**tables | {"links": links})
