@@ -24,9 +24,10 @@ def recording(tmp_path):
     return tmp_path / "curl.csv"
 
 
+@pytest.mark.long
 def test_height_mass_and_sex_stand_for_a_body(recording, tmp_path, run):
     out = tmp_path / "curl.nc"
-    given = ["--height", 1.75, "--mass", 70, "--sex", "m", "--method", "laplace", "--out", out]
+    given = ["--height", 1.75, "--mass", 70, "--sex", "m", "--method", "laplace", "--filters", 4, "--out", out]
     outcome = run("infer", recording, *given)
     assert outcome.exit_code == 0, outcome.output
     posterior = load_posterior(out)
