@@ -424,6 +424,12 @@ class Fixed:
     excite_steps: int = number(150, "steps", "of a search from one start", "measured: the last fifty gain .5 nats")
     excite_rate: float = number(0.06, "1", "of these steps (Adam)", "chosen")
     excite_penalty: float = number(300.0, "nats", "for a torque of twice its limit all along", "chosen")
+    excite_search_rate: float = number(10.0, "rows/s", "of a motion that is looked for", "ten rows a wave")
+    excite_check_rate: float = number(100.0, "rows/s", "of a motion that is checked, and written", "chosen")
+    excite_shrink: float = number(0.93, "1", "on the swings of a motion that exceeds a limit", "chosen")
+    excite_usual_speed: float = number(1.0, "rad/s", "of a joint whose speed nothing limits", "chosen")
+    excite_usual_rise: float = number(0.25, "s", "in which a joint may reach its speed", "chosen")
+    excite_sure: float = number(0.95, "1", "probability from which on an effect is taken to act", "chosen")
     excite_told: float = number(0.5, "prior sd", "of a number's sd, from which on a motion tells little", "chosen")
     # -- ensembles
     max_members: int = number(10_000, "files", "of an ensemble", "stated")

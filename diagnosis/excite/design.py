@@ -24,11 +24,6 @@ from invdyn.diagnosis.rules import FIXED
 from invdyn.models import Body
 from invdyn.recordings import InputError
 
-SEARCH_RATE, CHECK_RATE = 10.0, 100.0
-"""Rows a second, while a motion is looked for and when it is checked: waves have a hertz at most."""
-SHRINK = 0.93
-"""Factor on the swings of a motion that exceeds a limit."""
-
 Report = Callable[[int, int], None]
 
 
@@ -115,7 +110,7 @@ def design_motion(
         raise InputError(f"unknown joint {strange[0]!r}: expected some of {', '.join(body.joint_names)}")
     within = limits if isinstance(limits, MotionLimits) else motion_limits(body, robot, limits)
     moving = np.array([not joints or name in joints for name in body.joint_names])
-    family = Family(with_joints(within, moving), seconds, SEARCH_RATE)
+    family = Family(with_joints(within, moving), seconds, FIXED.excite_search_rate)
     information = Information(body, within, about, noise)
     generator = torch.Generator().manual_seed(seed)
     found = []
@@ -169,13 +164,13 @@ def _excess(information: Information, family: Family, path: Path) -> torch.Tenso
 
 def _kept(information: Information, family: Family, of: Coefficients) -> Coefficients:
     """The motion with swings that keep to torques and space at a fine step."""
-    fine = family.at(CHECK_RATE)
+    fine = family.at(FIXED.excite_check_rate)
     with torch.no_grad():
         for _ in range(200):
             excess = _excess(information, fine, fine.path(of))
             if not bool((excess > 0).any()):
                 return of
-            of = family.scaled(of, SHRINK)
+            of = family.scaled(of, FIXED.excite_shrink)
     number = int(excess.amax(0).argmax())
     names = information.joint_names
     what = f"the torque of joint '{names[number]}'" if number < len(names) else "the space of the body's points"
@@ -198,7 +193,7 @@ def _told(
     assumed: tuple[str, ...],
 ) -> Excitation:
     """The motion at a fine step, in the file's own angles."""
-    fine = family.at(CHECK_RATE)
+    fine = family.at(FIXED.excite_check_rate)
     path = fine.path(of)
     sds = information.sds(information.precision(path, fine.seconds))
     parts = getattr(body, "joint_parts", ())

@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import Body
 from invdyn.models.bodies.body_xml import is_xml
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
@@ -31,8 +32,6 @@ from invdyn.recordings import InputError
 from invdyn.recordings.toml_tables import read_toml
 
 QUANTITIES = ("position", "speed", "acceleration", "torque")
-USUAL_SPEED, USUAL_RISE = 1.0, 0.25
-"""rad/s of a joint whose speed nothing limits, and s in which a joint reaches its speed."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,9 @@ def motion_limits(body: Body, robot: str | Path | None = None, table: str | Path
         if not row["position"][0] < row["position"][1]:
             raise InputError(f"joint '{name}': expected a range, low < high, got {row['position']}")
         if row["speed"] is None:
-            row["speed"] = USUAL_SPEED
-            assumed.append(f"{name}: {USUAL_SPEED:g} rad/s")
-        row["acceleration"] = row["acceleration"] or row["speed"] / USUAL_RISE
+            row["speed"] = FIXED.excite_usual_speed
+            assumed.append(f"{name}: {FIXED.excite_usual_speed:g} rad/s")
+        row["acceleration"] = row["acceleration"] or row["speed"] / FIXED.excite_usual_rise
         rows.append(row)
     low, high = np.array([row["position"] for row in rows]).T
     others = [np.array([row[word] for row in rows], dtype=float) for word in QUANTITIES[1:]]

@@ -4,10 +4,8 @@ import json
 from pathlib import Path
 
 from invdyn.diagnosis.excite.information import kinds_of
+from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings import InputError
-
-SURE = 0.95
-"""Probability from which on an effect is taken as known to act."""
 
 
 def open_effects(path: str | Path) -> list[str]:
@@ -24,4 +22,5 @@ def open_effects(path: str | Path) -> list[str]:
         raise InputError(f"{path}: expected a diagnosis of `invdyn diagnose`, diagnosis.json") from None
     names = {name for effects, _ in causes for name in effects}
     acts = {name: sum(p for effects, p in causes if name in effects) for name in names}
-    return kinds_of([*(name for name, p in acts.items() if 1 - SURE < p < SURE), *rivals])
+    sure = FIXED.excite_sure
+    return kinds_of([*(name for name, p in acts.items() if 1 - sure < p < sure), *rivals])
