@@ -84,7 +84,7 @@ def infer_by_engine(
         recording = recording.with_keypoints([point for point in points if point in sites])
     recording = recording.at(frame_range(given.frames))
     truth = None if given.truth is None else read_truth(given.truth)
-    sizes = {
+    sizes: dict[str, Any] = {
         "num_filters": FILTERS if given.filters == usual["filters"].default else given.filters,
         "num_particles": PARTICLES if given.particles == usual["particles"].default else given.particles,
         "num_draws": DRAWS if given.draws == usual["draws"].default else given.draws,

@@ -185,6 +185,18 @@ def test_any_state_space_model_runs_and_its_methods_agree():
     assert figures(notebook) == 1
 
 
+@pytest.mark.long
+def test_contact_and_muscles_run_and_find_the_floors_impulse():
+    notebook = jupytext.read(FOLDER / "09_contact_and_muscles.py")
+    text = printed(run(notebook))
+    assert "kinks: True" in text
+    assert "contact floor-foot: " in text
+    ours, sd, true = map(float, re.search(r"impulse (\S+) ± (\S+) N·s, truly (\S+)", text).groups())
+    assert abs(ours - true) < 3 * sd
+    assert 0.1 < float(re.search(r"bands of activations are (\S+) wide", text)[1]) < 1
+    assert figures(notebook) == 2
+
+
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("0*.py")), ids=lambda file: file.stem)
 def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     cells = jupytext.read(file).cells
