@@ -68,6 +68,8 @@ from .parameters.tempered import tempered as tempered
 from .parameters.unconstrained import UnconstrainedParameters as UnconstrainedParameters
 from .posterior.files import load_posterior as load_posterior
 from .posterior.files import save_posterior as save_posterior
+from .posterior.functionals import functional_table as functional_table
+from .posterior.functionals import functionals as functionals
 from .posterior.initialise import Problem as Problem
 from .posterior.initialise import arm_problem as arm_problem
 from .posterior.mechanics import mechanics as mechanics

@@ -9,7 +9,7 @@ from pathlib import Path
 import arviz as az
 import numpy as np
 
-from invdyn.inference import Comparison, save_posterior
+from invdyn.inference import Comparison, functional_table, save_posterior
 from invdyn.recordings import InputError, new_folder, whole_set, write_moments, write_motion, write_table, write_text
 from invdyn.recordings.reading import TrackedFilm
 
@@ -28,9 +28,16 @@ KINDS = {
     "film": FILM_SUFFIXES,
     "OpenSim": (".sto",),
     "motion": (".mot",),
+    "functionals": ("functionals.csv",),
     "CSV": (".csv",),
 }
-"""What an output of an inference is, by its ending."""
+"""What an output of an inference is, by the first ending that fits."""
+
+
+def kind_of(path: Path) -> str | None:
+    """What an output is, a key of :data:`KINDS`; None where no ending fits."""
+    name = path.name.lower()
+    return next((kind for kind, endings in KINDS.items() if name.endswith(endings)), None)
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class OutputFiles:
 
     def of(self, kind: str) -> list[Path]:
         """Those of a kind, a key of :data:`KINDS`."""
-        return [path for path in self.paths if path.suffix.lower() in KINDS[kind]]
+        return [path for path in self.paths if kind_of(path) == kind]
 
     @property
     def usual_tracks(self) -> Path:
@@ -56,7 +63,7 @@ class OutputFiles:
         """
         check_outputs([*self.paths, tracks], inputs)
         for path in self.paths:
-            check_ending("an output", path, *(ending for kind in KINDS.values() for ending in kind))
+            check_ending("an output", path, *(end for kind in KINDS.values() for end in kind if end.startswith(".")))
         check_ending("a file of tracks", tracks, ".csv")
         if inferred and len(found := self.of("posterior")) != 1:
             raise InputError(f"--out: expected one file for the posterior, such as posterior.nc, got {len(found)}")
@@ -84,6 +91,8 @@ class OutputFiles:
                 save_posterior(idata, path)
             for path in self.of("CSV"):
                 write_table(curves(idata), path)
+            for path in self.of("functionals"):
+                write_text(path, functional_table(idata).to_csv(index=False, lineterminator="\n"))
             for path in self.of("OpenSim"):
                 low, _, median, _, high = quantiles(idata, "torque")
                 shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
@@ -96,8 +105,9 @@ class OutputFiles:
                 save_film(idata, path, progress, None if tracked is None else Overlay.of(tracked, idata))
 
     def _check_torques(self, known: Container[Hashable]) -> None:
-        if "torque" not in known and (paths := self.of("OpenSim")):
-            raise InputError(f"{paths[0]}: a kinematic posterior has no torques to write for OpenSim; leave it out")
+        if "torque" not in known and (paths := self.of("OpenSim") + self.of("functionals")):
+            what = "for OpenSim" if self.of("OpenSim") else "functionals of"
+            raise InputError(f"{paths[0]}: a kinematic posterior has no torques to write {what}; leave it out")
 
     def listing(self) -> str:
         """What lies where: an empty line, then one each."""

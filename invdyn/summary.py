@@ -10,7 +10,8 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
-from invdyn.inference import Comparison, evidence_note, learned_lengths, pooled
+from invdyn.inference import Comparison, evidence_note, functional_table, learned_lengths, pooled
+from invdyn.inference.posterior.functionals import MIN_TIMES
 
 from .plots import quantiles
 
@@ -105,6 +106,7 @@ def summary_text(idata: az.InferenceData) -> str:
     doubts = [*settings.get("in_doubt", []), *_too_few(idata), *_uneven(idata)]
     lines = [f"{line}\n" * (line is doubts[-1]) or line for line in doubts]
     lines += [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
+    lines += _of_paths(idata)
     length = idata["posterior"]["position"].attrs["units"]
     lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
     if torques := settings.get("torque_evidence"):
@@ -114,6 +116,21 @@ def summary_text(idata: az.InferenceData) -> str:
     notes = ("body_doubt", "engine", "charts", "unseen", "hidden", "base")
     lines += [str(idata.attrs[note]) for note in notes if note in idata.attrs]
     return "\n".join(lines)
+
+
+def _of_paths(idata: az.InferenceData) -> list[str]:
+    """Peaks, impulses and work of the torques, with intervals; nothing of a kinematic posterior or a single row."""
+    posterior = idata["posterior"]
+    if "torque" not in posterior or posterior.sizes["time"] < MIN_TIMES:
+        return []
+    table, cells = functional_table(idata), pd.DataFrame(index=pd.Index(posterior["joint"].values, name="joint"))
+    for name, rows in table.groupby("functional", sort=False):
+        bounds = [
+            f"{row['median']:.3g} [{row['q05']:.3g}, {row['q95']:.3g}] {row['unit']}" for _, row in rows.iterrows()
+        ]
+        cells[name] = bounds
+    first = f"Of whole paths at the frames' times, median and 90 % interval\n\n{cells.T.to_string()}\n"
+    return ["", first]
 
 
 SCORES = {"rmse": "error rms", "crps": "CRPS", "coverage_50": "50 % covers", "coverage_90": "90 % covers"}
