@@ -243,8 +243,8 @@ def diagnose(
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})
     if refused:
-        said = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
-        result = replace(result, method=result.method | {REFUSED: said})
+        words = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
+        result = replace(result, method=result.method | {REFUSED: words})
     report(5, "done")
     return result
 

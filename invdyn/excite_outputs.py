@@ -95,7 +95,7 @@ def excitation_text(motion: Excitation) -> str:
         sure = f"{effect}, {name}" if name else effect
         lines.append(f"to         {sure}, ± {unit}: {', '.join(places[:MAX_LISTED])}{more}")
     if motion.hidden:
-        count = defaultdict(int)
+        count: defaultdict[str, int] = defaultdict(int)
         for column in motion.hidden:
             count[column.effect] += 1
         parts = ", ".join(f"{number} of {effect}" for effect, number in count.items())

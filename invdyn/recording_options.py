@@ -158,7 +158,7 @@ class Recorded:
         """The body, of as many dimensions as the recording shows of a robot's file; see `inputs.load_body`."""
         from .inputs import TABLE, load_body, source_of
 
-        if self.body is None:
+        if self.height is not None and self.mass is not None and self.sex is not None:
             from invdyn.models import person
 
             return person(self.height, self.mass, self.sex, self.limb, self.payload)
@@ -167,7 +167,7 @@ class Recorded:
         if isinstance(self.metres_a_pixel, float):
             options["scale"] = self.metres_a_pixel
         table = filmed and not self.plane and source_of(self.recordings, self.calibration, self.mapping) is TABLE
-        return load_body(self.body, filmed=filmed, recording=self.recording if table else None, **options)
+        return load_body(str(self.body), filmed=filmed, recording=self.recording if table else None, **options)
 
     def tracks_file(self, default: Path) -> Path | None:
         """Where tracks go: the default unless it is said; None where the recording is no film."""

@@ -108,7 +108,7 @@ class Information:
         found = self.dynamics.inverse(*path, self.units)
         links = self.units.mass.shape[-1]
         found = found.reshape(-1, links, len(path.q), K)
-        n = 1 if self.dynamics.space == 2 else 3
+        n = 1 if self.units.com.ndim == self.units.mass.ndim else 3
         moments = found[1 : 1 + n] - found[:1]  # at a metre a kilogram has moments, which are taken from it
         return torch.cat([found[:1], moments, found[1 + n :]]).flatten(0, 1)
 

@@ -89,9 +89,9 @@ def motion_limits(body: Body, robot: str | Path | None = None, table: str | Path
         row["acceleration"] = row["acceleration"] or row["speed"] / FIXED.excite_usual_rise
         rows.append(row)
     low, high = np.array([row["position"] for row in rows]).T
-    others = [np.array([row[word] for row in rows], dtype=float) for word in QUANTITIES[1:]]
+    speed, acceleration, torque = (np.array([row[word] for row in rows], dtype=float) for word in QUANTITIES[1:])
     space = _space(axes, body.dimensions, str(table))
-    return MotionLimits(low, high, *others, space, tuple(assumed))
+    return MotionLimits(low, high, speed, acceleration, torque, space, tuple(assumed))
 
 
 def _of_joint(own: Mapping[str, Any], given: Mapping[str, Any], part: JointParts) -> dict[str, Any]:

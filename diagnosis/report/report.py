@@ -154,7 +154,7 @@ def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Rows of what a regression found: what, value and interval; what a link's number is known with, in words."""
     found = diagnosis.regression.numbers if diagnosis.regression is not None else ()
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for each in found:
         with_others = "".join(f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.parts.items())
         of = "of" if each.effect == "inertial_error" else "at"

@@ -8,6 +8,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -111,7 +112,9 @@ def engine_problem(
         raise InputError(f"{recording.name}: expected keypoints among {', '.join(sites)}, or angles, got neither")
     observation = Observation(*sensors, family=family).bound(scene)
     rows = np.concatenate(columns, 1)
-    given = {name: value for sensor in sensors for name, value in _noise(observation, sensor, rows, scene).items()}
+    given: dict[str, Any] = {}
+    for sensor in sensors:
+        given |= _noise(observation, sensor, rows, scene)
     time = recording.time - recording.time[0]
     drives = chosen_drive(scene, drive) if isinstance(drive, str) else drive
     try:

@@ -202,7 +202,8 @@ def arm_problem(
     for each in forces:
         each.check(body.keypoint_names, recording.time, body.dimensions)
     if forces:
-        model = model.with_effects(*(AppliedForce(each.keypoint, each.time - origin, each.force) for each in forces))
+        given = ((each.keypoint, torch.as_tensor(each.time - origin), torch.as_tensor(each.force)) for each in forces)
+        model = model.with_effects(*(AppliedForce(*each) for each in given))
     if substeps is None:
         model = model.in_substeps(sufficient_substeps(model, observations))
     known = None if truth is None else truth.at(recording.time)

@@ -170,7 +170,7 @@ def _results(source: Lines, given: Mapping[str, Any], at: Any, vector: Any) -> l
         "clamp": clamped,
         "choose": lambda condition, *both: at.select(at.fcmp_unordered("!=", condition, constant(0.0)), *both),
     }
-    values = {name: constant(x) for name, x in source.literals.items()} | given
+    values = {**{name: constant(x) for name, x in source.literals.items()}, **given}
     for line in source.lines:
         values[line.name] = operation[line.kind](*(values[x] for x in line.operands))
     return [values[name] for name in source.results]

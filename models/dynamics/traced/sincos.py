@@ -89,7 +89,7 @@ def _traced(x: Expression, dtype: torch.dtype) -> list[Scalar]:
 
 def _polynomial(x: Expression, coefficients: tuple[float, ...]) -> Expression:
     """By Horner's scheme, the highest power's coefficient first."""
-    value: Scalar = coefficients[0]
-    for coefficient in coefficients[1:]:
+    value = x * coefficients[0] + coefficients[1]
+    for coefficient in coefficients[2:]:
         value = x * value + coefficient
     return value
