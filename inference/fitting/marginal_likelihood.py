@@ -213,8 +213,8 @@ class Objective(Generic[M]):
     def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and Hessian at φ.
 
-        Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are the more,
-        they are computed every ``FRESH`` evaluations; in between, the last correlations stand.
+        Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are twice as
+        many, they are computed every ``FRESH`` evaluations; in between, the last correlations stand.
         """
         model, size = self.at(phi), len(phi)
         # From the last mode always: from the start the search may end at another one, and evidences would not compare.
@@ -224,7 +224,7 @@ class Objective(Generic[M]):
         self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
 
         unit = STEP * np.eye(size)
-        few = size * (size - 1) / 2 <= 2 * size + 1
+        few = size * (size - 1) / 2 <= 2 * (2 * size + 1)
         whole = few or self._whole is None or self._age >= FRESH
         first, second = np.triu_indices(size if whole else 0, 1)
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
@@ -316,7 +316,7 @@ def fit(
         if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
             raise StopIteration  # nothing that the data could tell, down to a tiny trust region
 
-    widening = max(1.0, (len(objective.sd) / 5) ** 0.5)  # a step of one size in each parameter
+    widening = max(1.0, (len(objective.sd) / 10) ** 0.5)  # many parameters share a step
     result = minimize(
         objective.value,
         np.zeros(len(objective.sd)),
