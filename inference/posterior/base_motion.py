@@ -18,7 +18,8 @@ that keeps its distance L from the first joint lies on a circle, or sphere, abou
     min over c of Σ_t (|y_t − c| − L)²,
 
 must leave less than ``EXPLAINED`` of the rms that the file's leaves, which must exceed ``MISFIT`` of L, and no other
-length about the file's place may do nearly as well.
+length about the file's place may do nearly as well. And the rms must be ``SHOWN`` of how far the middle is off: a site
+that hardly turns is as far from many places.
 
 Shapes: T rows, d axes.
 """
@@ -54,8 +55,8 @@ rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
 MIN_ROWS, MOST_ROWS = 10, 1200
 """In which a base must be seen, and that its process is looked for in."""
-MISFIT, EXPLAINED = 0.05, 0.3
-"""Of a length, and of a misfit."""
+MISFIT, EXPLAINED, SHOWN = 0.05, 0.3, 0.25
+"""Of a length, of a misfit, and of a distance."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,8 @@ def check_place(recording: Recording, body: Body) -> None:
         misfit, left, other = (
             float(np.sqrt(np.mean(off**2))) for off in (before - length, after - length, before - before.mean())
         )
-        if misfit > MISFIT * length and left < EXPLAINED * min(misfit, other):
+        shown = misfit > SHOWN * float(np.linalg.norm(found.x - place))
+        if shown and misfit > MISFIT * length and left < EXPLAINED * min(misfit, other):
             at = ", ".join(f"{x:.3g}" for x in found.x)
             unit = recording.length_unit
             raise InputError(
