@@ -205,7 +205,7 @@ class Objective(Generic[M]):
                 if self._known is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.
-                self.path = reached
+                self.path, self._whole = reached, None
                 return 1e10, np.zeros_like(phi), np.eye(len(phi))
             self._known = (phi.tobytes(), found)
         return self._known[1]

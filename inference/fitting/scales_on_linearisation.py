@@ -49,22 +49,22 @@ def fit_scales(
         smoother: of the model as it is.
         progress: called with (turns done, turns at most).
     """
-    settled = not free
+    settled, parameters = not free, LogParameters(model, free)
+    phi = np.zeros(len(parameters.sd))
     for turn in range(ROUNDS if free else 0):
-        parameters = LogParameters(model, free)
         fitted = Fitted.of(model, observations, smoother.path, smoother.covariance())
-        phi = _best(parameters, fitted, smoother)
+        before, phi = phi, _best(parameters, fitted, phi)
         model = parameters.at(torch.as_tensor(phi))
         smoother = statistical_homotopy(model, observations, refine=smoother)
         if progress is not None:
             progress(turn + 1, ROUNDS)
-        if settled := bool(np.abs(phi).max() < SETTLED):
+        if settled := bool(np.abs(phi - before).max() < SETTLED):
             break
     return model, smoother, settled
 
 
-def _best(parameters: LogParameters, fitted: Fitted, smoother: GaussianSmoother) -> np.ndarray:
-    """φ (P,) of the highest evidence, given what was fitted."""
+def _best(parameters: LogParameters, fitted: Fitted, start: np.ndarray) -> np.ndarray:
+    """φ (P,) of the highest evidence near ``start``, given what was fitted."""
 
     def value(phi: np.ndarray) -> float:
         try:
@@ -76,12 +76,11 @@ def _best(parameters: LogParameters, fitted: Fitted, smoother: GaussianSmoother)
         prior = 0.5 * float(((phi / parameters.sd) ** 2).sum())
         return float(np.nan_to_num(prior - evidence, nan=1e10, posinf=1e10))
 
-    size = len(parameters.sd)
     found = minimize(
         value,
-        np.zeros(size),
+        start,
         method="L-BFGS-B",
-        bounds=[(-MAX_STEP, MAX_STEP)] * size,
+        bounds=[(own - MAX_STEP, own + MAX_STEP) for own in start],
         options={"maxiter": 20, "ftol": 1e-7, "eps": 1e-3},
     )
     return np.asarray(found.x)

@@ -9,8 +9,8 @@ Two laws of a track y (T, d) are compared by their evidence,
 
 each at the best of a grid of its parameters, axis by axis; ℓ has a wide prior. A base moves where the second is ahead
 by ``AHEAD`` nats, and where that matters: its acceleration has an rms above ``FELT`` of gravity, or its displacement
-one above ``SHIFTED`` times the noise. What is smaller changes torques by less than their bands, and the slow drift of
-a tracker is no motion.
+one above ``SHIFTED`` times the noise. What is smaller changes torques by less than their bands. A displacement under
+``WANDERS`` of the reach is taken for errors of a tracker that last.
 
 Of a base that is not tracked its place is the body file's. It is refused where it contradicts the keypoints: a site
 that keeps its distance L from the first joint lies on a circle, or sphere, about it. Another middle than the file's,
@@ -37,6 +37,7 @@ from invdyn.inference.plausible_for_body import distances_of_base, rooted, site_
 from invdyn.models import ArticulatedBody, Body
 from invdyn.models.articulated.base_track import filtered, without_outliers
 from invdyn.models.articulated.moving_base import MovingBase
+from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Filmed
 from invdyn.recordings.jitter import point_jitter
@@ -55,6 +56,8 @@ rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
 MIN_ROWS, MOST_ROWS = 10, 1200
 """In which a base must be seen, and that its process is looked for in."""
+WANDERS = 0.01
+"""Of the reach: a smaller displacement is not told from errors of a tracker or filter that last."""
 MISFIT, EXPLAINED, SHOWN = 0.05, 0.3, 0.25
 """Of a length, of a misfit, and of a distance."""
 
@@ -136,6 +139,10 @@ def hold_base(recording: Recording, body: ArticulatedBody) -> Base:
             recording, line=f"base: not tracked, taken to be at rest at ({where}) {unit}, as the body's file says"
         )
     if (rows := int(np.isfinite(recording.keypoint(name)).all(-1).sum())) < MIN_ROWS:
+        if not rows:
+            check_place(recording, body)
+        elif not isinstance(recording, Filmed):
+            recording = recording.moved(own - np.nanmedian(recording.keypoint(name), axis=0))
         return Base(
             recording, line=f"base: {name!r} is seen in {rows} rows, too few for a motion, and taken to be at rest"
         )
@@ -152,6 +159,9 @@ def hold_base(recording: Recording, body: ArticulatedBody) -> Base:
     moved = recording.moved(own - found.place)
     if not found.moves:
         return Base(moved, line=f"base: {name!r} is at rest ({size})")
+    if found.displacement < WANDERS * dynamics_for(body).reach(body.parameters()).item():
+        by = f"its track wanders by {found.displacement:.2g} {unit} rms, as a tracker's own error may"
+        return Base(moved, line=f"base: {name!r} is taken to be at rest: {by}")
     return Base(
         moved,
         found,

@@ -26,6 +26,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.engine.contacts import contact_forces
+from invdyn.models.engine.drives import turning_dofs
 from invdyn.models.engine.model import EngineModel
 from invdyn.models.engine.scene import Scene, engine
 from invdyn.recordings import Recording, Truth
@@ -99,6 +100,7 @@ def engine_contents(
     }
     if skeleton := _skeleton(scene):
         constants["skeleton"] = (["edge", "end"], np.array(skeleton))
+    constants["turns"] = (["joint"], turning_dofs(scene.model).astype(np.int8))
     constants |= _truth(scene, truth)
     if contacts.pairs:
         constants["ground"] = (["contact"], contacts.ground.astype(np.int8))
@@ -207,8 +209,7 @@ def activation_names(model: EngineModel) -> list[str]:
 
 
 def _units(model: EngineModel) -> dict[str, str]:
-    slides = bool((model.scene.model.jnt_type == 2).any())
-    units = {"torque": "N·m or N" if slides else "N·m", "angle": "rad", "velocity": "rad/s", "position": "m"}
+    units = {"torque": "N·m", "angle": "rad", "velocity": "rad/s", "position": "m"}  # of joints that turn
     units |= {"truth_torque": units["torque"], "truth_angle": "rad", "truth_velocity": "rad/s"}
     units |= {"drive": " and ".join(dict.fromkeys(model.inputs.units)), "actuator_force": "N"}
     return units | {"contact_force": "N", "centre_of_pressure": "m"}

@@ -19,9 +19,10 @@ from invdyn.inference.posterior.initialise import sensor_jitter
 from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import EngineModel, Observation, TorqueProcess
 from invdyn.models.articulated.defaults import Value, WrongValue
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.drives import Controls, Drive, JointTorques, Wrench, is_muscle
-from invdyn.models.engine.scene import Scene
+from invdyn.models.engine.scene import Scene, engine
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.sensor import Sensor
@@ -166,9 +167,10 @@ def driven_joints(scene: Scene) -> tuple[str, ...]:
     """Hinges and slides but those of a moving base.
 
     A base is a body on the world with a slide or a free joint while other bodies hang on it: a trunk on a rail, or one
-    that slides and turns in a plane. Nothing but contacts moves it. Balls are driven, too.
+    that slides and turns in a plane. Nothing but contacts moves it, unless the file has an actuator at one of its
+    joints. Balls are driven, too.
     """
-    model = scene.model
+    mujoco, model = engine(scene.name), scene.model
     names = [model.joint(j).name or f"joint{j}" for j in range(model.njnt)]
     kinds = model.jnt_type
     found = []
@@ -177,7 +179,8 @@ def driven_joints(scene: Scene) -> tuple[str, ...]:
         mates = kinds[model.jnt_bodyid == body]
         on_world = model.body_weldid[model.body_parentid[body]] == 0
         carries = bool((model.body_parentid[body + 1 :] == body).any())
-        if kinds[j] == 0 or (on_world and carries and (mates == 2).any()):
+        motors = [actuators_of(mujoco, model, int(k)) for k in np.flatnonzero(model.jnt_bodyid == body)]
+        if kinds[j] == 0 or (on_world and carries and (mates == 2).any() and not any(motors)):
             continue
         found.append(name)
     return tuple(found)

@@ -60,11 +60,13 @@ def unexplained(problem: Problem, path: Tensor) -> list[str]:
         for name, own, sd in zip(names, off.T, noise, strict=True):
             limit = max(TIMES * sd, least)
             if (begin := _begins(own > limit, np.isfinite(own))) is not None:
-                large = float(np.nanquantile(own, 0.9))
+                bad = own > limit
+                large = float(np.median(own[bad]))
                 times = f", {large / sd:.2g} times its own jitter" if sd > 0 else ""
                 words = (
                     f"from {_row(problem, begin)} on {name} is off what this body can do, by {large:.2g} {unit} or "
-                    f"more in a tenth of the rows{times}: it leaves the plane, changes its lengths, or is another one"
+                    f"more in {(int(bad.sum()) + 1) // 2} rows{times}: it was lost, leaves the plane, changes its "
+                    "lengths, or is another one"
                 )
                 lines.append((large / least, words))
     torque = model.net_torque(path).detach().numpy()

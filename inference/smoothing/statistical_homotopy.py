@@ -97,7 +97,7 @@ def _stage(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoot
 def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
     """The best of the last stage's passes."""
     best: GaussianSmoother | None = None
-    before = math.inf
+    before, settled = math.inf, False
     for _ in range(LAST_PASSES):
         try:
             with diverging():
@@ -107,10 +107,11 @@ def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
         evidence = float(smoother.log_evidence)
         if best is None or evidence > float(best.log_evidence):
             best = smoother
-        if abs(evidence - before) < LAST_SETTLED:
-            break
+        settled = abs(evidence - before) < LAST_SETTLED
         before = evidence
+        if settled:
+            break
     if best is None:
         raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
-    best.converged = torch.tensor(abs(evidence - before) < LAST_SETTLED)
+    best.converged = torch.tensor(settled)
     return best

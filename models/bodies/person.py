@@ -9,8 +9,8 @@ of the segment's length from the joint nearer to the trunk, and of its length; t
     m_s = m · mass     L_s = L · height / 1.735 (1.741)     com = c L_s     I = m_s (k L_s)²
 
 A shank ends at the lateral malleolus, a hand at the third knuckle. What lies beyond the last link moves with it: a
-forearm has the hand in line, and a shank has the foot, as a point mass, at the ankle. In the frontal plane moments are
-larger by 4 to 14 %.
+forearm has the hand in line, and a shank has the foot at the ankle. Moments about the other axis across a segment are
+somewhat larger, of a hand by up to a half.
 
 The table states no spread. Masses of one person differ from such a table by some 10 %, centres of mass by some 5 %
 (`SPREAD`), and lengths by so much that they are learned from the recording, beginning at the table's.

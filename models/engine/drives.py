@@ -50,6 +50,14 @@ class Drive(Protocol):
         """Write them into the field (…, C)."""
 
 
+def turning_dofs(model: Any) -> np.ndarray:
+    """Which degrees of freedom (nv,) turn; slides, and the first three of a free joint, shift."""
+    joints = model.dof_jntid
+    first = np.arange(model.nv) - model.jnt_dofadr[joints]
+    kinds = model.jnt_type[joints]
+    return ~((kinds == 2) | ((kinds == 0) & (first < 3)))
+
+
 def dof_names(model: Any) -> tuple[str, ...]:
     """Names (nv,) of a compiled model's degrees of freedom: a joint's, with an axis where it has several."""
     names: list[str] = []
@@ -83,7 +91,7 @@ class JointTorques:
         numbers = [own.index(name) for name in wanted]
         dofs = [v for v in range(model.nv) if model.dof_jntid[v] in numbers]
         names = dof_names(model)
-        units = tuple("N" if model.jnt_type[model.dof_jntid[v]] == 2 else "N·m" for v in dofs)
+        units = tuple("N·m" if turns else "N" for turns in turning_dofs(model)[dofs])
         return JointTorques(tuple(wanted), tuple(dofs), tuple(names[v] for v in dofs), units)
 
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
@@ -163,8 +171,6 @@ class Wrench:
     units: tuple[str, ...] = field(default=("N",) * 3 + ("N·m",) * 3)
 
     fills: ClassVar[str] = "XFRC_APPLIED"
-
-    field = "XFRC_APPLIED"
 
     def bound(self, model: Any) -> "Wrench":
         """See :class:`Drive`."""

@@ -4,6 +4,7 @@ Contact with what stands in the world, equality constraints, tendons, muscles an
 touch itself is no reason: those contacts are left out with a warning, as a robot's shapes overlap its joints.
 """
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,9 @@ def reasons_for_engine(path: Path) -> list[str]:
         return []
     try:
         return reasons(Scene.of(path))
-    except BodyError:
-        return []  # whoever reads the body says what is wrong with it
+    except BodyError as error:  # whoever reads the body says what else is wrong with it
+        warnings.warn(f"{error}; so it is taken without MuJoCo's contacts and constraints", UserWarning, stacklevel=2)
+        return []
 
 
 def reasons(scene: Scene) -> list[str]:
