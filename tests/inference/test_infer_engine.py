@@ -9,6 +9,7 @@ from scipy.stats import kstest
 
 from invdyn.inference import Bootstrap, ParticleFilter, SMCOptions, infer_engine, infer_states
 from invdyn.inference.filters.filtering import run_filters
+from invdyn.inference.posterior.engine_problem import driven_joints
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Controls, EngineModel, JointTorques, Keypoints, Observation, Scene
 from invdyn.models.engine.needed import reasons
@@ -141,3 +142,15 @@ def test_what_does_not_fit_is_refused():
         infer_engine(right, Scene.of(GRIPPER))
     with pytest.raises(InputError, match=r"settings: no parameter torque\.size"):
         infer_engine(right, scene, settings={"torque.size": 1.0})
+
+
+def test_a_rail_with_a_motor_is_driven_and_one_without_is_not():
+    """A cart with a pole: contacts alone move it, unless the file has an actuator at its slide."""
+    text = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body name="cart" pos="0 0 1">
+        <joint name="rail" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/><site name="hub"/>
+        <body name="pole"><joint name="pin" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 .5" size=".02" mass=".2"/>
+        <site name="tip" pos="0 0 .5"/></body></body></worldbody>{}</mujoco>"""
+    motor = '<actuator><motor joint="rail"/></actuator>'
+    assert driven_joints(Scene.of(text.format(""), dimensions=2)) == ("pin",)
+    assert driven_joints(Scene.of(text.format(motor), dimensions=2)) == ("rail", "pin")

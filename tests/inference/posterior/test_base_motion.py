@@ -87,6 +87,31 @@ def test_what_moves_gets_a_model_that_moves(dimensions):
         assert arm_problem(walking, body).model.base is None
 
 
+def test_a_tracks_lasting_error_is_no_motion():
+    """A filtered track of a base at rest is smooth, and wanders by millimetres."""
+    rng = np.random.default_rng(4)
+    smooth = np.apply_along_axis(np.convolve, 0, rng.standard_normal((90, 2)), np.hanning(17) / 3, "same")
+    body, filtered = arm_on(0.002 * smooth, noise=1e-5)
+    held = hold_base(filtered, body)
+    assert held.motion is None
+    assert "taken to be at rest: its track wanders by" in held.line
+
+
+@pytest.mark.parametrize("seen", [0, 5])
+def test_a_base_that_few_rows_show_is_put_where_the_bodys_is(seen):
+    body, recording = arm_on(np.zeros((90, 2)), shift=[0.4, 0.3])
+    points = recording.keypoints.copy()
+    points[seen:, 0] = np.nan
+    few = replace(recording, keypoints=points)
+    if not seen:
+        with pytest.raises(InputError, match="not about the base"):
+            hold_base(few, body)
+        return
+    held = hold_base(few, body)
+    assert f"is seen in {seen} rows" in held.line
+    np.testing.assert_allclose(np.nanmedian(held.recording.keypoints[:, 0], 0), body.base, atol=1e-9)
+
+
 def test_a_site_at_the_first_joint_tells_of_the_base_as_well():
     body, walking = arm_on(np.stack([1.3 * TIME, 0.03 * np.cos(4 * np.pi * TIME), 0 * TIME], -1), 3)
     upper, fore = body.links
