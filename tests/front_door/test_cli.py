@@ -264,6 +264,7 @@ def test_three_rows_are_enough_and_their_bands_wide(folder, run):
     assert widths[0] > 2 * widths[1]
 
 
+@pytest.mark.filterwarnings("ignore:.*the last position was written again:UserWarning")  # the film repeats frames
 def test_a_known_recording_by_its_name(folder, run, with_human_arm):
     call = ("infer", "human-arm", "--body", "human_arm_on_table", "--scale", "body", "--frames", "50:80")
     outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--out", "f.gif")
