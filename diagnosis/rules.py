@@ -256,6 +256,7 @@ class CheckRules:
     min_zero: float = number(math.radians(7), "rad", "smaller zeros are an effect, for the diagnosis", "stated")
     min_offset: float = number(0.2, "rms torque", "smaller constant torques are an effect", "stated")
     min_column_rows: int = number(50, "rows", "of a column, for strays, wraps and repeats to be looked for", "chosen")
+    max_stray_run: float = number(3.0, "rows", "that another publisher's number stands on average", "chosen")
     min_strays: int = number(3, "rows", "of one value, for another publisher's", "chosen")
     min_stray_share: float = number(0.002, "1", "of all rows, for another publisher's", "chosen")
     min_stray_step: float = number(10.0, "usual steps", "from the rows around to another publisher's", "chosen")

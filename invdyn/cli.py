@@ -247,7 +247,8 @@ def diagnose(
         count, copies = ensemble
         check_ensemble(count)
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
-        check_outputs([copies / "randomisation.json"], given.files)
+        members = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
+        check_outputs([copies / "randomisation.json", *members], given.files)
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with ProgressBar() as progress:

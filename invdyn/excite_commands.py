@@ -53,7 +53,6 @@ def excite(
     check_exist(body=robot)
 
     from invdyn.diagnosis import design_motion
-    from invdyn.diagnosis.excite.information import KINDS, kinds_of
     from invdyn.diagnosis.excite.open_questions import open_effects
     from invdyn.models import load_body
     from invdyn.recordings import InputError, whole_set
@@ -65,17 +64,18 @@ def excite(
     for each in out:
         check_ending("an output", each, *ENDINGS)
     asked = [] if about is None else [name.strip() for name in about.split(",")]
-    if strange := [name for name in asked if not kinds_of([name])]:
-        raise InputError(f"--about: expected effects among {', '.join(KINDS)}, got {strange[0]!r}")
     if diagnosis is not None:
-        asked += open_effects(diagnosis)
+        rivals = open_effects(diagnosis)
+        asked += rivals
+        if not rivals:
+            raise InputError(f"{diagnosis}: nothing is open that a motion's torque tells: leave --diagnosis out")
     with ProgressBar() as progress, body_file(robot) as path:
         found = design_motion(
             load_body(path, filmed=False),
             path,
             limits=limits,
             joints=[] if joints is None else [name.strip() for name in joints.split(",")],
-            about=kinds_of(asked),
+            about=asked,
             seconds=seconds,
             noise=noise,
             starts=starts,

@@ -100,6 +100,8 @@ class Recorded:
         said = {f"--{name}": getattr(self, name) is not None for name in ("height", "mass", "sex")}
         if self.body is not None and any(said.values()):
             raise InputError(f"--body and {next(name for name in said if said[name])}: leave one of them out")
+        if self.body is not None and (self.payload or self.limb != "arm"):
+            raise InputError("--set payload and --set limb are a person's: a load belongs in the body's file, as load")
         if self.body is None and not all(said.values()):
             missing = ", ".join(name for name in said if not said[name])
             raise InputError(

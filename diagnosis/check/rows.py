@@ -124,6 +124,8 @@ def _strays(values: np.ndarray, rules: Rules) -> tuple[float, np.ndarray] | None
         if usual == 0 or len(np.unique(rest)) < 0.1 * len(rest):
             continue
         edges = np.flatnonzero(np.diff(rows.astype(int)))
+        if count > rules.check.max_stray_run * (len(edges) / 2 + 1):  # a pause, not another publisher's rows
+            continue
         far = np.abs(own[edges + 1] - own[edges]) > rules.check.min_stray_step * usual
         if len(edges) >= 2 * rules.check.min_strays - 1 and far.mean() > 0.8:
             where = np.zeros(len(values), dtype=bool)
@@ -141,6 +143,11 @@ def _modulus(values: np.ndarray, factor: float, rules: Rules) -> float | None:
     jumps = np.abs(steps) > rules.check.min_jump * spread
     small = np.abs(steps[~jumps])
     if not jumps.any() or jumps.mean() > 0.2 or not len(small) or small.max() > (1 - rules.check.min_jump) * spread:
+        return None
+    # what wraps stays at both ends of its range; what comes back at once is a glitch
+    quarter = 0.25 * spread
+    ends = (own > own.max() - quarter).sum(), (own < own.min() + quarter).sum()
+    if min(ends) <= 2 * jumps.sum():
         return None
     # a jump is the modulus less what the joint moved meanwhile
     around = np.array([_usual(steps, jumps, at) for at in np.flatnonzero(jumps).tolist()])

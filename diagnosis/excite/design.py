@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from invdyn.diagnosis.excite.information import Column, Information
+from invdyn.diagnosis.excite.information import KINDS, Column, Information, kinds_of
 from invdyn.diagnosis.excite.limits import MotionLimits, motion_limits, with_joints
 from invdyn.diagnosis.excite.trajectory import Coefficients, Family, Path
 from invdyn.diagnosis.rules import FIXED
@@ -102,16 +102,21 @@ def design_motion(
         seed: same seed, same motion.
         report: called with (steps done, all).
 
-    Raises InputError for an unknown joint, a duration under 2 s, and limits that even the robot at rest exceeds.
+    Raises InputError for an unknown joint or effect, a duration under 2 s, a noise of 0, and limits that even the robot
+    at rest exceeds.
     """
     if not 2.0 <= seconds <= 3600.0:
         raise InputError(f"expected a motion of 2 to 3,600 s, got {seconds:g}")
     if strange := [name for name in joints if name not in body.joint_names]:
         raise InputError(f"unknown joint {strange[0]!r}: expected some of {', '.join(body.joint_names)}")
-    within = limits if isinstance(limits, MotionLimits) else motion_limits(body, robot, limits)
+    if strange := [name for name in about if not kinds_of([name])]:
+        raise InputError(f"expected effects among {', '.join(KINDS)}, got {strange[0]!r}")
+    if noise is not None and not noise > 0:
+        raise InputError(f"expected a noise of torques above 0 N·m, got {noise:g}")
+    within = limits if isinstance(limits, MotionLimits) else motion_limits(body, robot, limits, joints)
     moving = np.array([not joints or name in joints for name in body.joint_names])
     family = Family(with_joints(within, moving), seconds, FIXED.excite_search_rate)
-    information = Information(body, within, about, noise)
+    information = Information(body, within, kinds_of(about), noise)
     generator = torch.Generator().manual_seed(seed)
     found = []
     for start in range(max(1, starts)):

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.excite.limits import MotionLimits
 from invdyn.diagnosis.excite.trajectory import Path
-from invdyn.diagnosis.problem.regressors import nominal_link_numbers, unit_numbers
+from invdyn.diagnosis.problem.regressors import filed_torques, nominal_link_numbers, unit_numbers
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, link_names
 from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.models import Body
@@ -54,7 +54,8 @@ class Information:
     def __init__(
         self, body: Body, limits: MotionLimits, about: Sequence[str] = (), noise: np.ndarray | float | None = None
     ):
-        self.dynamics, self.numbers, self.joint_names = dynamics_for(body), body.parameters(), body.joint_names
+        self.body, self.joint_names = body, body.joint_names
+        self.dynamics, self.numbers = dynamics_for(body), body.parameters()
         self.units = unit_numbers(body)
         load = typical_torque(self.dynamics, self.numbers).double()
         self.load = torch.maximum(load, FIXED.excite_least_load * load.max())
@@ -86,14 +87,18 @@ class Information:
         return found + [Column(INERTIAL, *label, float(s)) for label, s in zip(labels, sizes, strict=True)]
 
     def torque(self, path: Path) -> Tensor:
-        """What the file asks for along a motion, (R, K) N·m; differentiable."""
-        return self.dynamics.inverse(*path, self.numbers)
+        """What the file asks for along a motion, its joints' friction, rotors and springs in it, (R, K) N·m."""
+        own = filed_torques(self.body, *path, self._sign(path))
+        return self.dynamics.inverse(*path, self.numbers) + torch.stack(own, -1)
+
+    def _sign(self, path: Path) -> Tensor:
+        return (path.qd / self.slow).tanh()
 
     def precision(self, path: Path, seconds: float) -> Tensor:
         """S Xᵀ W X S (P, P) of a motion; differentiable."""
         q, qd, qdd = path
-        rigid = self.torque(path)
-        own = [qd, (qd / self.slow).tanh(), qdd, q - q.mean(0), torch.ones_like(q), rigid]
+        whole = self.torque(path)
+        own = [qd, self._sign(path), qdd, q - q.mean(0), torch.ones_like(q), whole]
         X = torch.cat([torch.diag_embed(each).movedim(-1, 0) for each in own])  # (6 K, R, K)
         if self.units is not None:
             X = torch.cat([X, self._links(path)])

@@ -3,7 +3,6 @@
 A robot's file gives the range of a joint (MJCF, URDF), its speed (URDF) and its torque. What it does not give, and what
 is to be narrower, a table says:
 
-    seconds = 20
     [all]                        # of every joint
     speed = 1.0                  # rad/s
     acceleration = 3.0           # rad/s²
@@ -16,7 +15,7 @@ is to be narrower, a table says:
 Slides are in m, m/s, m/s² and N.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,15 +59,18 @@ class MotionLimits:
         return (self.high - self.low) / 2
 
 
-def motion_limits(body: Body, robot: str | Path | None = None, table: str | Path | None = None) -> MotionLimits:
+def motion_limits(
+    body: Body, robot: str | Path | None = None, table: str | Path | None = None, joints: Sequence[str] = ()
+) -> MotionLimits:
     """Limits of a body, whose file is ``robot``, narrowed by a ``table`` as at the top of this file.
 
-    Raises InputError for a joint without a range, an unknown name, a range that is empty, and what is no number.
+    Of ``joints`` that move, all if none, a range is needed; another one without a range stands at the file's zero.
+    Raises InputError for a joint without a range, an unknown name, a range that is empty, a motor that pushes one way
+    alone, and what is no number.
     """
     parts = [each or NOTHING for each in getattr(body, "joint_parts", ())] or [NOTHING] * body.num_joints
     own = _of_file(robot) if robot is not None else {}
     tables = {} if table is None else dict(read_toml(table, "limits"))
-    tables.pop("seconds", None)
     axes = tables.pop("space", {})
     shared = _checked(tables.pop("all", {}), f"{table}: [all]")
     if strange := [name for name in tables if name not in body.joint_names]:
@@ -77,12 +79,16 @@ def motion_limits(body: Body, robot: str | Path | None = None, table: str | Path
     for name, part in zip(body.joint_names, parts, strict=True):
         given = shared | _checked(tables.get(name, {}), f"{table}: [{name}]")
         row = _of_joint(own.get(name, {}), given, part)
-        if row["position"] is None:
+        if row["position"] is None and joints and name not in joints:
+            row["position"] = [part.zero, part.zero]
+        elif row["position"] is None:
             raise InputError(
                 f"joint '{name}' has no range: give one in a table of limits, such as [{name}] position = [-1.0, 1.0]"
             )
-        if not row["position"][0] < row["position"][1]:
+        elif not row["position"][0] < row["position"][1]:
             raise InputError(f"joint '{name}': expected a range, low < high, got {row['position']}")
+        if not row["torque"] > 0:
+            raise InputError(f"joint '{name}': expected a motor that pushes both ways, got one way alone")
         if row["speed"] is None:
             row["speed"] = FIXED.excite_usual_speed
             assumed.append(f"{name}: {FIXED.excite_usual_speed:g} rad/s")

@@ -14,6 +14,7 @@ import scipy.linalg
 import torch
 
 from invdyn.diagnosis.rules import FIXED
+from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 
@@ -76,6 +77,20 @@ def inverse(dynamics: Dynamics, numbers: Any, motion: Moving) -> np.ndarray:
     """Torques that a body of these ``numbers`` asks for, (..., R, K)."""
     q, qd, qdd = (torch.as_tensor(each) for each in (motion.q, motion.qd, motion.qdd))
     return np.asarray(dynamics.inverse(q, qd, qdd, numbers).numpy())
+
+
+def filed_torques(body: Any, q: Any, qd: Any, qdd: Any, sign: Any) -> list[Any]:
+    """What the file's joints take besides: friction, rotors and springs, N·m; a column (R,) for each of the K joints.
+
+    Angles, velocities, accelerations and the velocities' ``sign``, (R, K) each, are arrays or tensors.
+    """
+    every = getattr(body, "joint_parts", ()) or [None] * q.shape[-1]
+    found = []
+    for k, parts in enumerate(every):
+        own = parts or NOTHING
+        column = own.damping * qd[..., k] + own.friction * sign[..., k] + own.armature * qdd[..., k]
+        found.append(column + own.stiffness * (q[..., k] - own.rest))
+    return found
 
 
 def nominal_link_numbers(body: Any) -> list[np.ndarray]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.problem.regressors import inverse
+from invdyn.diagnosis.problem.regressors import filed_torques, inverse
 from invdyn.diagnosis.problem.robot_terms import RobotTerms
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.dynamics.interface import Dynamics
@@ -135,14 +135,9 @@ def _by_servos(motion: Motion, terms: RobotTerms) -> Motion:
 
 def passive(body: Any, motion: Motion) -> np.ndarray:
     """What the joints of the file take besides, (R, K): its friction, rotors and springs."""
-    taken = np.zeros_like(motion.q)
     speed = np.maximum(np.sqrt((motion.qd**2).mean(0)), 1e-12)
-    for k, parts in enumerate(getattr(body, "joint_parts", ())):
-        if parts is not None:
-            q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
-            dry = parts.friction * np.tanh(qd / (motion.rules.check.slow_velocity * speed[k]))
-            taken[:, k] = parts.damping * qd + dry + parts.armature * qdd + parts.stiffness * (q - parts.rest)
-    return taken
+    sign = np.tanh(motion.qd / (motion.rules.check.slow_velocity * speed))
+    return np.stack(filed_torques(body, motion.q, motion.qd, motion.qdd, sign), -1)
 
 
 def smoothed(

@@ -26,7 +26,13 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.special import erf
 
-from invdyn.diagnosis.problem.regressors import base_columns, inverse, link_regressors, nominal_link_numbers
+from invdyn.diagnosis.problem.regressors import (
+    base_columns,
+    filed_torques,
+    inverse,
+    link_regressors,
+    nominal_link_numbers,
+)
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.inertia import NAMES
@@ -43,8 +49,13 @@ JOINT_KINDS = {
     "constant_torque": (("torque", "N·m"),),
     "actuator_gain": (("gain", "1"),),
 }
-FILED = {"viscous_friction": "damping", "coulomb_friction": "friction", "armature": "armature"}
-"""Of effects that are never negative, what a body's file says of each joint."""
+FILED = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "friction",
+    "armature": "armature",
+    "joint_stiffness": "stiffness",
+}
+"""Of numbers that are never negative, what a body's file says of each joint."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,7 @@ def linear_effects(
     K, joints = motion.q.shape[1], body.joint_names
     sign = erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300)))
     rigid = inverse(dynamics, body.parameters(), motion)
-    required = rigid + _filed(body, motion, sign)
+    required = rigid + np.stack(filed_torques(body, motion.q, motion.qd, motion.qdd, sign), -1)
     needed, given = (np.sqrt((each**2).mean(0)) for each in (required, motion.torque))
     whole = np.maximum(needed, given)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
@@ -96,7 +107,7 @@ def linear_effects(
         "armature": [] if passive else [(motion.qdd, motion.qdd_sd**2)],
         "joint_stiffness": [] if passive else [(motion.q, none), (-one, none)],
         "constant_torque": [] if passive else [(one, none)],
-        "actuator_gain": [] if passive else [(rigid, none)],
+        "actuator_gain": [] if passive else [(required, none)],
     }
     parts = getattr(body, "joint_parts", ()) or [None] * K
     values, variance, size, least, labels = [], [], [], [], []
@@ -109,8 +120,8 @@ def linear_effects(
                 values.append(here[0])
                 variance.append(here[1])
                 size.append(unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
-                filed = getattr(parts[k] or NOTHING, FILED[kind]) if kind in FILED else np.inf
-                least.append(0.0 if name == "stiffness" else -filed)
+                filed = kind in FILED and (len(columns) == 1 or name == "stiffness")
+                least.append(-getattr(parts[k] or NOTHING, FILED[kind]) if filed else -np.inf)
                 labels.append((kind, joints[k], name, of))
     links = link_regressors(dynamics, body, motion)
     values += list(links)
@@ -172,17 +183,6 @@ def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.
     return np.concatenate(
         [sosfiltfilt(sections, each, axis=-2, padlen=min(27, each.shape[-2] - 1)) for each in pieces], -2
     )
-
-
-def _filed(body: Any, motion: MeasuredMotion, sign: np.ndarray) -> np.ndarray:
-    """What the file gives joints besides: damping, dry friction, rotors and springs, (R, K) N·m."""
-    taken = np.zeros_like(motion.q)
-    for k, parts in enumerate(getattr(body, "joint_parts", ())):
-        if parts is not None:
-            q, qd, qdd = motion.q[:, k], motion.qd[:, k], motion.qdd[:, k]
-            taken[:, k] = parts.damping * qd + parts.friction * sign[:, k] + parts.armature * qdd
-            taken[:, k] += parts.stiffness * (q - parts.rest)
-    return taken
 
 
 def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:

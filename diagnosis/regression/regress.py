@@ -162,9 +162,10 @@ def regress(
     motion = measured_motion(recording, body, passive=passive, rules=rules)
     if motion is None:
         return None
-    of = partial(linear_effects, dynamics_for(body), body, passive=passive, rules=rules, cutoff=cutoff_of(motion))
-    whole = of(motion=motion)
     other = None if held_out is None else measured_motion(held_out, body, passive=passive, rules=rules)
+    cutoff = min(cutoff_of(each) for each in (motion, other) if each is not None)
+    of = partial(linear_effects, dynamics_for(body), body, passive=passive, rules=rules, cutoff=cutoff)
+    whole = of(motion=motion)
     first, last = motion.split(rules.outcome.fit_share) if other is None else (motion, other)
     known, unseen = of(motion=first), of(motion=last)
     fits = [_fit(known, first, rules, plain) for plain in PLAIN]
@@ -338,15 +339,21 @@ def _estimate(value: float, sd: float, freedom: int) -> tuple[float, tuple[float
 def _of_joints(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
     """Numbers of effects at joints.
 
-    A gain is the motor's: where τ (1 + g) was commanded for τ, ε = −g/(1 + g).
+    A gain is the motor's: where τ (1 + g) was commanded for τ, ε = −g/(1 + g). Other numbers were fitted in torques as
+    commanded, and are divided by 1 + g.
     """
+    pairs = list(zip(fit.chosen.columns, fit.chosen.values.tolist(), strict=True))
+    gains = {effects.places[p]: 1 + value for p, value in pairs if effects.kinds[p] == "actuator_gain"}
     found = []
-    for n, (p, value) in enumerate(zip(fit.chosen.columns, fit.chosen.values, strict=True)):
+    for n, (p, value) in enumerate(pairs):
         kind, sd = effects.kinds[p], float(np.sqrt(max(fit.covariance[n, n], 0.0)))
         if kind == INERTIAL:
             continue
+        commanded = gains.get(effects.places[p], 1.0)
         if kind == "actuator_gain":
-            sd, value = sd / (1 + value) ** 2, -value / (1 + value)
+            sd, value = sd / commanded**2, -value / commanded
+        else:
+            sd, value = sd / commanded, value / commanded
         sd, interval = _estimate(float(value), sd, fit.freedom)
         filed = -float(effects.least[p]) if np.isfinite(effects.least[p]) else 0.0
         found.append(

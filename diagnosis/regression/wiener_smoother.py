@@ -34,8 +34,10 @@ class SmoothedAngles:
 
 def smooth(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[SmoothedAngles]:
     """Smooth stretches, each of times (T,) and angles (T, K), NaN where missing; they share noise and roughness."""
-    first = max(stretches, key=lambda each: len(each[0]))
-    time, angle = (values[: FIXED.max_likelihood_rows] for values in first)
+    seen = [np.isfinite(angle).all(1) for _, angle in stretches]
+    longest = int(np.argmax([each.sum() for each in seen]))
+    begin = int(seen[longest].argmax())  # where all joints are seen
+    time, angle = (values[begin : begin + FIXED.max_likelihood_rows] for values in stretches[longest])
     step = float(np.median(np.diff(time)))
     rough = 10.0 ** np.arange(*FIXED.roughness_decades) / step**2.5
     ratio, noise = _most_likely(time, angle, rough[:, None] * np.ones(angle.shape[1]))

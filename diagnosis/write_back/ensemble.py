@@ -108,14 +108,19 @@ def randomisation(
         for key, each in named.items()
     }
     numbers = [_range(named[key], values) for key, values in columns.items()]
-    moving = [values for values in columns.values() if values.std() > 0]
+    whole = [values for values in columns.values() if np.isfinite(values).all()]
+    moving = [values for values in whole if values.std() > 0]
     return {
         "recording": diagnosis.recording,
         "body": diagnosis.body,
         "members": len(members),
         "numbers": numbers,
         "correlation": np.corrcoef(moving).round(4).tolist() if len(moving) > 1 else [],
-        "correlated": [f"{n['quantity']} of {n['place']}" for n in numbers if n["sd"] > 0] if len(moving) > 1 else [],
+        "correlated": [
+            f"{n['quantity']} of {n['place']}"
+            for n, values in zip(numbers, columns.values(), strict=True)
+            if len(moving) > 1 and np.isfinite(values).all() and values.std() > 0
+        ],
         "not_told_by_the_log": _not_told(diagnosis),
         "not_in_the_files": unsaid,
         "mjx": [_mjx(n) for n in numbers if n["quantity"] in MJX],
@@ -147,6 +152,8 @@ def _member(cause: Cause, place: int) -> Cause:
 
 
 def _range(change: FileChange, values: np.ndarray) -> dict[str, Any]:
+    unlimited = int((~np.isfinite(values)).sum())  # members whose motor the file gives no limit
+    values = values[np.isfinite(values)]
     low, high = np.quantile(values, [0.05, 0.95])
     return {
         "place": change.place,
@@ -157,6 +164,7 @@ def _range(change: FileChange, values: np.ndarray) -> dict[str, Any]:
         "sd": float(values.std()),
         "range_90": [float(low), float(high)],
         "operation": RELATIVE.get(change.quantity, "abs"),
+        **({"members_without_a_limit": unlimited} if unlimited else {}),
     }
 
 

@@ -57,7 +57,7 @@ def test_one_motion_in_every_form(tmp_path, limits):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--about", "gravity_tilt"), "--about: expected effects among viscous_friction"),
+        (("--about", "gravity_tilt"), "expected effects among viscous_friction"),
         (("--joints", "knee"), "unknown joint 'knee'"),
         (("--seconds", "1"), "expected a motion of 2 to 3,600 s, got 1"),
     ],
