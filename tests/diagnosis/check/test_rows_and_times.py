@@ -86,3 +86,16 @@ def test_a_joint_that_turns_round_and_round_is_clean_and_so_is_a_coarse_encoder(
         nothing = np.empty((len(time), 0, 2))
         recording = Recording(time, nothing, (), angles=angles, torques=torques, joint_names=BOTH)
         assert not check(recording, ARM, effects=False).mistakes
+
+
+def test_pauses_of_the_motors_and_one_glitch_of_an_encoder_are_no_mistakes(log):
+    """A motor that is off for a while commands 0; a reading that is off for one row is no wrap."""
+    torques = np.array(log.torques)
+    for first in (100, 500, 800):
+        torques[first : first + 60] = 0.0
+    found = check(replace(log, torques=torques), ARM, effects=False)
+    assert not [wrong for wrong in found.mistakes if "another publisher" in wrong.sentence]
+    angles = np.array(log.angles)
+    angles[300, 1] += 5.5
+    found = check(replace(log, angles=angles), ARM, effects=False)
+    assert not [wrong for wrong in found.mistakes if "wrapped" in wrong.sentence]

@@ -1,6 +1,7 @@
 """Motions to record next: within limits, at rest at both ends, and more telling than random ones."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from invdyn.diagnosis.excite.information import KINDS, Information
 from invdyn.diagnosis.excite.limits import MotionLimits, motion_limits
 from invdyn.diagnosis.excite.open_questions import open_effects
 from invdyn.diagnosis.excite.trajectory import Family
-from invdyn.models import Link, planar_body
+from invdyn.models import Link, load_body, planar_body
 from invdyn.recordings import InputError
 
 ARM = planar_body(
@@ -164,8 +165,6 @@ def test_wrong_tables_are_refused(tmp_path, text, words):
 
 def test_limits_of_robot_files(tmp_path):
     pytest.importorskip("mujoco")
-    from invdyn.models import load_body
-
     xml = tmp_path / "robot.xml"
     xml.write_text(
         """<mujoco><worldbody><body name="a"><joint name="one" type="hinge" axis="0 1 0" range="-90 45" limited="true"/>
@@ -203,3 +202,25 @@ def test_open_effects_of_a_diagnosis(tmp_path):
     path.write_text("[]")
     with pytest.raises(InputError, match="expected a diagnosis of `invdyn diagnose`"):
         open_effects(path)
+
+
+def test_torques_count_the_files_own_friction_and_rotors(tmp_path):
+    """Against MuJoCo's inverse dynamics of the same motion; its dry friction is left out of both."""
+    mujoco = pytest.importorskip("mujoco")
+    text = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="one" axis="0 1 0" damping="5"
+        armature=".5" stiffness="3" springref=".2" range="-1 1" limited="true"/>
+        <inertial pos=".1 0 0" mass="1" diaginertia=".01 .01 .01"/><site name="tip" pos=".2 0 0"/></body></worldbody>
+        <actuator><motor joint="one" ctrlrange="-9 9" ctrllimited="true"/></actuator></mujoco>"""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # limits are left out of bodies
+        (tmp_path / "robot.xml").write_text(text)
+        body = load_body(tmp_path / "robot.xml", filmed=False, dimensions=3)
+    given = MotionLimits(np.array([-1.0]), np.array([1.0]), *np.full((3, 1), 9.0), np.full((3, 2), [-np.inf, np.inf]))
+    found = design_motion(body, limits=given, seconds=4, starts=1)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for q, qd, qdd, torque in zip(found.angle, found.velocity, found.acceleration, found.torque, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        assert data.qfrc_inverse[0] == pytest.approx(torque[0], abs=1e-6)
+    assert np.abs(found.torque).max() <= 9.0

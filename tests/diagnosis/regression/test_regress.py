@@ -1,5 +1,7 @@
 """The regression of torques against motions whose effects are known, with encoders' noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_c
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.models import Link, planar_body
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
@@ -195,3 +198,59 @@ def test_links_that_were_found_are_those_of_the_model():
     )
     assert missing == pytest.approx(np.sqrt((there.missing**2).mean(0)), rel=0.05)
     assert (left < 0.1 * missing).all()
+
+
+PARTS = JointParts(damping=0.4, friction=0.2, stiffness=2.0)
+FILED = replace(BODY, links=tuple(replace(link, parts=PARTS) for link in BODY.links))
+
+
+def of_parts(m):
+    return 0.4 * m.qd + 0.2 * np.sign(m.qd) + 2.0 * m.q
+
+
+def of_a_motor(extra, gain):
+    """A recording whose motors give ``gain`` times what they are told."""
+    given = recorded(40, extra)
+    return replace(given, torques=given.torques / gain)
+
+
+def test_motors_that_give_less_are_not_friction_that_is_more():
+    """The file's friction is right, and is commanded too large as all else is."""
+    result = regress(of_a_motor(of_parts, 0.8), FILED)
+    own = found(result)
+    for joint in BODY.joint_names:
+        assert own["actuator_gain", joint, "gain"].value == pytest.approx(-0.2, abs=0.02)
+        for key in (("viscous_friction", joint, "damping"), ("coulomb_friction", joint, "torque")):
+            assert key not in own or abs(own[key].value) < 0.02
+
+
+def test_numbers_beside_a_gain_are_the_robots_own():
+    result = regress(of_a_motor(lambda m: of_parts(m) + 0.3 * m.qd, 0.8), FILED)
+    own = found(result)
+    for joint in BODY.joint_names:
+        assert own["viscous_friction", joint, "damping"].value == pytest.approx(0.3, abs=0.03)
+
+
+def test_a_files_spring_may_be_too_stiff():
+    result = regress(recorded(41, lambda m: of_parts(m) - 1.0 * m.q), FILED)
+    own = found(result)
+    for joint in BODY.joint_names:
+        each = own["joint_stiffness", joint, "stiffness"]
+        assert each.value == pytest.approx(-1.0, abs=0.1)
+        assert each.of_file == 2.0
+
+
+def test_rows_held_out_may_be_slower():
+    slow = recorded(42, friction, seconds=8.0)
+    names = ("time", "keypoints", "angles", "torques")
+    slower = replace(slow, **{name: getattr(slow, name)[::8] for name in names})
+    assert regress(recorded(43, friction, seconds=6.0), BODY, held_out=slower).torque.share > 0.5
+
+
+def test_a_joint_that_is_missing_at_first_does_not_mislead():
+    whole = recorded(44, friction)
+    angles = np.array(whole.angles)
+    angles[: len(angles) // 3, 1] = np.nan
+    result = regress(replace(whole, angles=angles), BODY)
+    assert found(result)["coulomb_friction", "elbow", "torque"].value == pytest.approx(0.25, rel=0.15)
+    assert result.torque.share > 0.85
