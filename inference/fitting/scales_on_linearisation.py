@@ -9,7 +9,8 @@ is known for any scales φ in L and R without another step of the simulation. So
     φ ← argmax log p_lin(y | φ; N(x̄, P)) + log p(φ),      N(x̄, P) ← smoother at φ,
 
 as in a Laplace–EM of Fahrmeir & Wagenpfeil (1997), "Penalized likelihood estimation and iterative Kalman smoothing for
-non-Gaussian dynamic regression models". The prior of φ is that of :mod:`.marginal_likelihood`: wide, in the logarithm.
+non-Gaussian dynamic regression models". Here φ is the logarithm of a scale over its last turn's
+value, and p(φ) a wide Gaussian about 0: it damps each turn, and what the turns settle at is of maximum likelihood.
 
 Shapes: φ (P,), observations (T, O).
 """
@@ -49,22 +50,22 @@ def fit_scales(
         smoother: of the model as it is.
         progress: called with (turns done, turns at most).
     """
-    settled, parameters = not free, LogParameters(model, free)
-    phi = np.zeros(len(parameters.sd))
+    settled = not free
     for turn in range(ROUNDS if free else 0):
+        parameters = LogParameters(model, free)
         fitted = Fitted.of(model, observations, smoother.path, smoother.covariance())
-        before, phi = phi, _best(parameters, fitted, phi)
+        phi = _best(parameters, fitted, smoother)
         model = parameters.at(torch.as_tensor(phi))
         smoother = statistical_homotopy(model, observations, refine=smoother)
         if progress is not None:
             progress(turn + 1, ROUNDS)
-        if settled := bool(np.abs(phi - before).max() < SETTLED):
+        if settled := bool(np.abs(phi).max() < SETTLED):
             break
     return model, smoother, settled
 
 
-def _best(parameters: LogParameters, fitted: Fitted, start: np.ndarray) -> np.ndarray:
-    """φ (P,) of the highest evidence near ``start``, given what was fitted."""
+def _best(parameters: LogParameters, fitted: Fitted, smoother: GaussianSmoother) -> np.ndarray:
+    """φ (P,) of the highest evidence, given what was fitted."""
 
     def value(phi: np.ndarray) -> float:
         try:
@@ -76,11 +77,12 @@ def _best(parameters: LogParameters, fitted: Fitted, start: np.ndarray) -> np.nd
         prior = 0.5 * float(((phi / parameters.sd) ** 2).sum())
         return float(np.nan_to_num(prior - evidence, nan=1e10, posinf=1e10))
 
+    size = len(parameters.sd)
     found = minimize(
         value,
-        start,
+        np.zeros(size),
         method="L-BFGS-B",
-        bounds=[(own - MAX_STEP, own + MAX_STEP) for own in start],
+        bounds=[(-MAX_STEP, MAX_STEP)] * size,
         options={"maxiter": 20, "ftol": 1e-7, "eps": 1e-3},
     )
     return np.asarray(found.x)
