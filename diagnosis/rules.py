@@ -254,6 +254,7 @@ class CheckRules:
     )
     max_gain: float = number(2.0, "1", "smaller factors on torques are a gain, for the diagnosis", "stated")
     min_zero: float = number(math.radians(7), "rad", "smaller zeros are an effect, for the diagnosis", "stated")
+    min_turn: float = number(0.05, "rad or m", "of a joint whose torque may be off all along", "chosen")
     min_offset: float = number(0.2, "rms torque", "smaller constant torques are an effect", "stated")
     min_column_rows: int = number(50, "rows", "of a column, for strays, wraps and repeats to be looked for", "chosen")
     max_stray_run: float = number(3.0, "rows", "that another publisher's number stands on average", "chosen")

@@ -257,6 +257,8 @@ def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -
     for k in np.flatnonzero(moving).tolist():
         free = fit.explain(motion, (k,))
         offset = float(free.values[-1])
+        if np.ptp(motion.q[:, k]) < rules.min_turn:  # a constant is not told from its weight
+            continue
         if abs(offset) > rules.min_offset * np.sqrt((motion.torque[:, k] ** 2).mean()):
             yield free.misfit, _offset(k, motion, offset)
 
