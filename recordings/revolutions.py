@@ -33,6 +33,8 @@ def unwrapped(recording: Recording, shifting: Collection[str] = ()) -> Recording
             continue
         step = np.diff(angle[seen])
         back = np.where(np.abs(step) > STEP * REVOLUTION, -np.round(step / REVOLUTION), 0.0)
+        glitch = np.flatnonzero((back[:-1] != 0) & (back[:-1] == -back[1:]))  # one row that is off, and no wrap
+        back[glitch] = back[glitch + 1] = 0.0
         if not back.any():
             continue
         first = int(seen[1:][back != 0][0])

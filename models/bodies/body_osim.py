@@ -65,6 +65,7 @@ class _Read:
     parts: list[Part] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=lambda: {GROUND: -1})
     coupled: list[str] = field(default_factory=list)
+    unplaced: list[str] = field(default_factory=list)
 
 
 def of(document: Element, where: str) -> Robot:
@@ -90,7 +91,8 @@ def of(document: Element, where: str) -> Robot:
     if loose := [name for name in bodies if name not in read.places]:
         raise BodyError(f"{where}: body '{loose[0]}' hangs on nothing: expected a joint of which it is the child")
     gravity = Y_UP @ numbers(model, "gravity", where, "0 -9.80665 0")
-    return Robot([*_marked(read, model)], gravity, named(model, read.coupled), angles_are_free=False)
+    parts = [*_marked(read, model)]
+    return Robot(parts, gravity, named(model, read.coupled, read.unplaced), angles_are_free=False)
 
 
 def _add(read: _Read, joint: Element) -> None:
@@ -187,6 +189,8 @@ def _marked(read: _Read, model: Element) -> Iterator[Part]:
             turn, origin = read.frames[body]
             own = origin + turn @ numbers(marker, "location", read.where, "0 0 0")
             marks.setdefault(body, []).append((marker.get("name", ""), own))
+        else:
+            read.unplaced.append(marker.get("name", ""))
     for part in read.parts:
         yield Part(**{**vars(part), "marks": tuple(marks.get(part.name, ()))})
 

@@ -8,6 +8,7 @@ import pytest
 
 from invdyn.recordings import Recording, load, write_keypoint_csv
 from invdyn.recordings.repairs import repaired
+from invdyn.recordings.revolutions import unwrapped
 
 TIME = np.arange(120) / 30
 NAMES = ("shoulder", "elbow", "wrist")
@@ -93,6 +94,14 @@ def test_wrapped_encoders_go_on(wrap):
     assert all("is wrapped" in line and "first in row" in line for line in lines)
     assert "shoulder" in lines[0]
     assert not said(found)[1]
+
+
+def test_one_reading_that_is_off_by_nearly_a_revolution_is_no_wrap():
+    angle = np.sin(np.arange(80) / 10)[:, None]
+    off = angle.copy()
+    off[30] += 5.5
+    given = Recording(np.arange(80) / 50, np.empty((80, 0, 2)), (), angles=off, joint_names=("elbow",))
+    np.testing.assert_array_equal(unwrapped(given).angles, off)
 
 
 def test_a_slide_and_missing_rows_are_no_wrapped_encoder():
