@@ -178,11 +178,13 @@ def cutoff_of(motion: MeasuredMotion) -> float:
 
 def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
     """Values (…, R, K) of a motion's rows through a Butterworth filter of order 4, forwards and backwards."""
-    sections = butter(4, cutoff, fs=1 / float(np.median(np.diff(motion.time))), output="sos")
-    pieces = np.split(values, np.flatnonzero(np.diff(motion.stretch)) + 1, axis=-2)
-    return np.concatenate(
-        [sosfiltfilt(sections, each, axis=-2, padlen=min(27, each.shape[-2] - 1)) for each in pieces], -2
-    )
+    edges = np.flatnonzero(np.diff(motion.stretch)) + 1
+    found = []
+    for time, each in zip(np.split(motion.time, edges), np.split(values, edges, axis=-2), strict=True):
+        rate = 1 / float(np.median(np.diff(time)))  # recordings may have rates of their own
+        sections = butter(4, min(cutoff, 0.45 * rate), fs=rate, output="sos")
+        found.append(sosfiltfilt(sections, each, axis=-2, padlen=min(27, len(time) - 1)))
+    return np.concatenate(found, -2)
 
 
 def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
