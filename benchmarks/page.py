@@ -35,6 +35,7 @@ COMMANDS = {
     "gallery_peers": "gallery_peers.py",
     "against_sensors": "against_sensors.py --results build/against_sensors.jsonl",
     "what_is_off": "what_is_off.py",
+    "reaches": "reaches.py --reaches 25 --smc 0 --torque auto --results build/reaches.jsonl",
     "filters": "filters.py",
     "gpu": "gpu.py",
     "ladder": "ladder.py",

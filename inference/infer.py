@@ -53,8 +53,10 @@ def infer(
         settings: parameters by dotted name that are known, such as {"torque.scale": 20.0}. The other noise scales, λ
             and σ_τ are fitted by marginal likelihood. "vsmc" learns their posterior and that of learned lengths and
             masses, and integrates them out.
-        torque: process of the torque, Ornstein–Uhlenbeck's by default; of several that with the most evidence, its
-            parameters integrated out (Laplace). Each costs a fit.
+        torque: process of the torque, at its fitted parameters; or several, which are then the prior in equal parts,
+            with parameters that are uncertain: draws of each are in proportion to its evidence (of methods without
+            evidence, "vsmc" and variational ones all are of the most probable process). Ornstein–Uhlenbeck's by
+            default; :func:`invdyn.models.default_torques` has several.
         integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.

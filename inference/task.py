@@ -11,14 +11,18 @@ from typing import Any
 
 import arviz as az
 import numpy as np
+import torch
 from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.filters.best_guide import best_guide
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Free
-from invdyn.inference.marginalise import over_bodies
+from invdyn.inference.fitting.marginal_likelihood import Fit, Free
+from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws
+from invdyn.inference.marginalise import NUM_SETS, over_bodies
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
@@ -28,6 +32,10 @@ from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
 from invdyn.models.articulated.applied_force import AppliedForce
 from invdyn.recordings import InputError, Recording, Truth
 
+MIXED = frozenset({"smc", "nested", "bootstrap", "laplace"})
+"""Methods that have draws of several torque processes and their parameters; others have the most probable ones."""
+SETS, PILOTS = 5_505_505, 5_505_506
+"""Places of the random numbers of process and parameters, and of their guide's pilots (:func:`.seeds.derived`)."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
 DROP, MIN_DROP = "emission.confidence_drop", 0.02
@@ -48,7 +56,7 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         Free("torque.decay", sd=1.0),
         Free("torque.lengthscale", sd=1.0),
         # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
-        Free("torque.rough_scale", tied=True),
+        Free("torque.rough_scale", tied=True, sd=1.0),
         Free("torque.rough_decay", tied=True, sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
@@ -80,6 +88,7 @@ class Task:
         checkpoint: of this run, or None.
         unfitted: the problem with the parameters that the fit began at, the centre of their prior.
         free: parameters that were fitted.
+        candidates: torque processes with their fits, where there are several: the prior is their mixture.
     """
 
     problem: Problem
@@ -90,6 +99,7 @@ class Task:
     checkpoint: Checkpoint | None = None
     unfitted: Problem | None = None
     free: tuple[Free, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
 
     def run(
         self,
@@ -101,8 +111,10 @@ class Task:
     ) -> az.InferenceData:
         """Posterior by ``method``, a key of ``METHODS``; over draws of the body where it is uncertain.
 
-        Parameters are the fitted ones. With ``learn`` "vsmc" has them uncertain, on a body that is not: their prior
-        is that of the fit, around where it began, for around what was fitted it would count the data twice.
+        Parameters are the fitted ones. With ``learn`` they are uncertain: of several torque processes a method of
+        :data:`MIXED` has draws of each in proportion to its evidence, with parameters drawn (:mod:`.parameter_draws`),
+        and "vsmc" learns those of the most probable one, on a body that is known: their prior is that of the fit,
+        around where it began, for around what was fitted it would count the data twice.
 
         With an ``executor`` its workers share the work (:mod:`.distribute`). Raises InputError when the method
         cannot do with an uncertain body, LostWork when workers that died could not be replaced.
@@ -110,8 +122,14 @@ class Task:
         run: Callable[..., az.InferenceData] = METHODS[method]
         places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
         places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}
-        problem = self.problem
-        if self.problem.model.body.has_priors:
+        problem, record = self.problem, self.record
+        if learn and self.candidates and method in MIXED and self._draws_keep_fit():
+            run, sets = self._over_sets(method)
+            run = timed(partial(over_bodies, run, sets=sets))
+            names = [type(each.model.torque).__name__ for each in sets]
+            record = {**record, "torque_sets": {name: names.count(name) for name in dict.fromkeys(names)}}
+            places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-sets")}
+        elif self.problem.model.body.has_priors:
             if method == "nuts":
                 raise InputError(
                     "nuts takes the body as known, and this one is uncertain: drop its priors and [uncertainty], "
@@ -127,10 +145,31 @@ class Task:
             options=self.options,
             start=self.path,
             seed=self.seed,
-            settings=self.record,
+            settings=record,
             progress=progress,
             **places,
         )
+
+    def _draws_keep_fit(self) -> bool:
+        """Whether bodies that are drawn have what was learned of them (:func:`.as_fitted`); without, sets have none."""
+        body = self.problem.model.body
+        own = [(each.name.removeprefix("body."), each.entries) for each in self.free if each.name.startswith("body.")]
+        known = body.is_chain and all(body.learned.get(quantity) == entries for quantity, entries in own)
+        return known or not (own and body.has_priors)
+
+    def _over_sets(self, method: str) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
+        """The method as it runs on one set of process and parameters, and these sets."""
+        with seeded(derived(self.seed, SETS)):
+            # Particle filters of few sets: each has a guide of its own.
+            most = NUM_SETS if method == "laplace" else NUM_SETS // 2
+            sets = parameter_draws(self.candidates, self.problem.observations, min(most, self.options.num_filters))
+        if method not in ("smc", "nested"):
+            return partial(_by_name, method), sets
+        # Whether the look-ahead stands, one set of pilot runs tells for all: models differ in their parameters alone.
+        model, observations = self.problem.model, self.problem.observations
+        found = best_guide(model, observations, self.options, derived(self.seed, PILOTS), self.path)
+        stands = found.name == "controlled" and found.num_particles == self.options.num_particles and not found.doubt
+        return partial(_by_name, method, guide="linearised" if stands else "controlled"), sets
 
 
 def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
@@ -152,7 +191,7 @@ def prepare(
     torque: TorqueProcess | Sequence[TorqueProcess] | None = None,
     **binding: Any,
 ) -> Task:
-    """Bind ``recording`` to ``body`` and fit what is not in ``settings``; of several torque processes one is chosen.
+    """Bind ``recording`` to ``body`` and fit what is not in ``settings``; of several torque processes each.
 
     ``binding`` are further options of :func:`.initialise.arm_problem`; ``report`` is called with (done, total) of
     the fit; ``checkpoint`` is a folder that keeps it, and what methods have done. Raises InputError when the recording
@@ -174,56 +213,103 @@ def prepare(
     ]
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
-    chosen, model, path, converged, evidence, doubts = _fitted(problems, frees, report, kept)
-    problem, free = problems[chosen], frees[chosen]
-    fitted = replace(problem, model=model)
-    doubts = [*unexplained(fitted, path), *doubts]
+    fits, doubts_of = _fitted(problems, frees, report, kept)
+    chosen = int(np.argmax([each.log_marginal for each in fits]))
+    problem, free, best = problems[chosen], frees[chosen], fits[chosen]
+    fitted = replace(problem, model=best.model)
+    doubts = [*unexplained(fitted, best.path), *doubts_of[chosen]]
     for doubt in doubts:
         warnings.warn(doubt, stacklevel=3)
     record = {
-        "fitted": {f.name: model.parameters[f.name].tolist() for f in free},
-        "fit_converged": converged,
+        "fitted": {f.name: best.model.parameters[f.name].tolist() for f in free},
+        "fit_converged": best.converged,
         "integrator": problem.model.integrator,
         "substeps": problem.model.substeps,
         "family": problem.model.observation.family,
         "torque_process": type(problem.model.torque).__name__,
     }
-    if forces := [str(effect.where[0]) for effect in model.effects if isinstance(effect, AppliedForce)]:
+    if forces := [str(effect.where[0]) for effect in best.model.effects if isinstance(effect, AppliedForce)]:
         record["forces"] = forces
     if doubts:
         record["in_doubt"] = doubts
     if len(problems) > 1:
         names = [type(each.model.torque).__name__ for each in problems]
+        evidence = [float(each.log_marginal) for each in fits]
         record["torque_evidence"] = dict(zip(names, evidence, strict=True))
-    return Task(fitted, path, options, seed, record, kept, problem, tuple(free))
+    candidates = [
+        Candidate(_at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
+    ]
+    mixed = tuple(candidates) if len(problems) > 1 else ()
+    return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), mixed)
 
 
 def _fitted(
     problems: Sequence[Problem], frees: Sequence[list[Free]], report: Report | None, checkpoint: Checkpoint | None
-) -> tuple[int, ArmModel, Tensor, bool, list[float], list[str]]:
-    """Number of the most probable problem, its model, mode, whether it converged, evidence of each, nats, and doubts.
-
-    They come from the checkpoint, or are fitted and kept there.
-    """
+) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
+    """Fit of each problem, and what is in doubt of each: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
         tensors, state = kept
-        path, chosen = tensors.pop("path"), state["chosen"]
-        model = problems[chosen].model.replace(**tensors)
-        return chosen, model, path, state["converged"], state["evidence"], state["doubts"]
-    fits = []
+        parts = [_part(tensors, f"{number}.") for number in range(len(problems))]
+        there = zip(problems, parts, state["fits"], strict=True)
+        return [_kept_fit(each, own, numbers) for each, own, numbers in there], state["doubts"]
+    fits: list[Fit[ArmModel]] = []
+    doubts: list[list[str]] = []
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
-        model = problem.model
-        if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
-            model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
         part = _share(report, number, len(problems))
-        fits.append(fit_over_gaps(model, problem.observations, free, part, problem.origin))
-    evidence = [float(each.log_marginal) for each, _ in fits]
-    chosen = int(np.argmax(evidence))
-    best, doubts = fits[chosen]
+        found, doubt = fit_over_gaps(_at_start(problem, free), problem.observations, free, part, problem.origin)
+        fits.append(found)
+        doubts.append(doubt)
     if checkpoint is not None:
-        tensors = {**best.model.parameters, "path": best.path}
-        checkpoint.save(tensors, converged=best.converged, chosen=chosen, evidence=evidence, doubts=doubts)
-    return chosen, best.model, best.path, best.converged, evidence, doubts
+        tensors = {
+            f"{number}.{name}": value for number, each in enumerate(fits) for name, value in _tensors_of(each).items()
+        }
+        numbers = [
+            {"converged": each.converged, "log_evidence": each.log_evidence, "log_marginal": float(each.log_marginal)}
+            for each in fits
+        ]
+        checkpoint.save(tensors, fits=numbers, doubts=doubts)
+    return fits, doubts
+
+
+def _at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
+    """The model at the parameters that a fit begins at."""
+    model = problem.model
+    if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
+        model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
+    return model
+
+
+PARAMETER = "parameter "
+"""Before a parameter's name in a checkpoint: it may be any."""
+
+
+def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
+    """What of a fit is a tensor."""
+    own = {"path": fit.path, "phi": torch.as_tensor(fit.phi), "covariance": torch.as_tensor(fit.covariance)}
+    own |= {f"log_sd {name}": torch.as_tensor(value) for name, value in fit.log_sd.items()}
+    return own | {f"{PARAMETER}{name}": value for name, value in fit.model.parameters.items()}
+
+
+def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> Fit[ArmModel]:
+    """The fit whose tensors :func:`_tensors_of` gave."""
+    model = problem.model.replace(**_part(tensors, PARAMETER))
+    log_sd = {name: value.numpy() for name, value in _part(tensors, "log_sd ").items()}
+    phi, covariance = tensors["phi"].numpy(), tensors["covariance"].numpy()
+    return Fit(
+        model,
+        numbers["log_evidence"],
+        tensors["path"],
+        log_sd,
+        numbers["converged"],
+        phi,
+        covariance,
+        numbers["log_marginal"],
+    )
+
+
+def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Tensors whose names begin so, by the rest of their names."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def _share(report: Report | None, number: int, count: int) -> Report | None:

@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,8 @@ from .settings import Setting, yes
 if TYPE_CHECKING:
     from invdyn.recordings.reading import TrackedFilm
 
-OU = "ornstein_uhlenbeck"
+OU, AUTO = "ornstein_uhlenbeck", "auto"
+"""The torque by default, and the mixture of processes that torques may be of."""
 LENGTHS = "lengths"
 CAMERAS = ("offset", "pose", "turn")
 """What `--learn` may name: of links, and of cameras."""
@@ -41,7 +42,7 @@ class Inference(Recorded):
         str,
         typer.Option(
             help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, "
-            "smooth_and_rough; or auto, the first or the last, by evidence."
+            "smooth_and_rough; or auto, a mixture of some in proportion to their evidence."
         ),
     ] = OU
     noise: Annotated[
@@ -70,7 +71,7 @@ class Inference(Recorded):
         from invdyn.recordings import InputError
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
-        named += [("torque process", self.torque, (*TORQUE_PROCESSES, "auto")), ("noise", self.family, FAMILIES)]
+        named += [("torque process", self.torque, (*TORQUE_PROCESSES, AUTO)), ("noise", self.family, FAMILIES)]
         named += [("word of --learn", word, (LENGTHS, *CAMERAS)) for word in self.learned]
         for what, given, known in named:
             if given not in known:
@@ -94,16 +95,16 @@ class Inference(Recorded):
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of `inference.infer` and `inference.compare`, but for what is read."""
-        from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES
+        from invdyn.models import TORQUE_PROCESSES, default_torques
 
-        processes = SMOOTHNESS if self.torque == "auto" else [self.torque]
+        named: dict[str, Callable[[], Any]] = {**TORQUE_PROCESSES, OU: lambda: None, AUTO: default_torques}
         return {
             "num_filters": self.filters,
             "num_particles": self.particles,
             "num_draws": self.draws,
             "seed": self.seed,
             "learn_lengths": LENGTHS in self.learned,
-            "torque": None if self.torque == OU else [TORQUE_PROCESSES[name]() for name in processes],
+            "torque": named[self.torque](),
             "family": self.family,
             "learn_cameras": tuple(word for word in self.learned if word in CAMERAS),
             "passive": self.zero_torque,

@@ -113,6 +113,9 @@ def summary_text(idata: az.InferenceData) -> str:
         best = max(torques, key=torques.get)
         others = " and ".join(f"{name} {torques[best] - torques[name]:.1f} nat" for name in torques if name != best)
         lines.append(f"torque process {best}, by evidence; behind it {others}")
+        if sets := settings.get("torque_sets"):
+            shares = ", ".join(f"{name} {count / sum(sets.values()):.0%}" for name, count in sets.items())
+            lines[-1] += f"; draws are of {shares}"
     notes = ("body_doubt", "engine", "charts", "unseen", "hidden", "base")
     lines += [str(idata.attrs[note]) for note in notes if note in idata.attrs]
     return "\n".join(lines)

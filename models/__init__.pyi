@@ -52,3 +52,4 @@ from .torques import RandomWalk as RandomWalk
 from .torques import Recurrent as Recurrent
 from .torques import SmoothAndRough as SmoothAndRough
 from .torques import TorqueProcess as TorqueProcess
+from .torques import default_torques as default_torques

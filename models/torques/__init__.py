@@ -1,5 +1,7 @@
 """Torque processes: the prior on what the muscles or motors do."""
 
+from collections.abc import Iterable
+
 from invdyn.models.torques.base import TorqueProcess
 from invdyn.models.torques.matern import Matern32, Matern52
 from invdyn.models.torques.ornstein_uhlenbeck import OrnsteinUhlenbeck, RandomWalk
@@ -15,12 +17,19 @@ TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "smooth_and_rough": SmoothAndRough,
 }
 
-SMOOTHNESS = ("ornstein_uhlenbeck", "smooth_and_rough")
-"""A rough torque, or the sum of a smooth and a small rough one: evidence chooses among these.
+SMOOTHNESS = ("ornstein_uhlenbeck", "matern32", "smooth_and_rough")
+"""A rough torque, one with a rate, and the sum of a smooth and a small rough one: the prior is their mixture.
 
-Purely smooth processes are left out: evidence prefers them, as small disturbances hardly change it, but their bands do
-not cover the torque.
+Matérn-5/2 by itself is left out: evidence prefers it, as small disturbances hardly change it, but its bands do not
+cover them.
 """
+
+
+def default_torques(given: Iterable[str] = ()) -> list[TorqueProcess]:
+    """What a torque may be, where nobody says; the Ornstein–Uhlenbeck process where parameters of it are ``given``."""
+    known = any(name.startswith("torque.") for name in given)
+    return [TORQUE_PROCESSES[name]() for name in (SMOOTHNESS[:1] if known else SMOOTHNESS)]
+
 
 __all__ = [
     "SMOOTHNESS",
@@ -32,4 +41,5 @@ __all__ = [
     "Recurrent",
     "SmoothAndRough",
     "TorqueProcess",
+    "default_torques",
 ]

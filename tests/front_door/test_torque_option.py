@@ -16,7 +16,7 @@ def test_the_most_probable_is_taken_and_named(folder, run):
     assert outcome.exit_code == 0, outcome.output
     settings = json.loads(load_posterior("p.nc").attrs["settings"])
     evidence = settings["torque_evidence"]
-    assert set(evidence) == {"OrnsteinUhlenbeck", "SmoothAndRough"}
+    assert set(evidence) == {"OrnsteinUhlenbeck", "Matern32", "SmoothAndRough"}
     best = settings["torque_process"]
     assert evidence[best] == max(evidence.values())
     (line,) = (line for line in outcome.stdout.splitlines() if line.startswith("torque process"))

@@ -1,10 +1,11 @@
-"""Of several torque processes the most probable is taken: the one that made the torque, where that can be identified.
+"""Of several torque processes draws are in proportion to their evidence; that which made the torque is most probable.
 
 And what it brings: a robot's torque, smooth with a little on it that is not, is known more narrowly by the sum.
 """
 
 import importlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ import torch
 from invdyn.inference import SMCOptions, compare, infer, pooled, prepare
 from invdyn.inference import task as task_module
 from invdyn.models import (
+    SMOOTHNESS,
+    TORQUE_PROCESSES,
     ArmModel,
     Encoders,
     Link,
@@ -20,6 +23,7 @@ from invdyn.models import (
     Observation,
     OrnsteinUhlenbeck,
     SmoothAndRough,
+    default_torques,
     planar_body,
 )
 from invdyn.recordings import Recording
@@ -108,7 +112,7 @@ def test_a_robots_torque_is_known_more_narrowly_by_the_sum():
     recording, true = moved_by(SmoothAndRough(), coarse, **robot)
     inner = slice(10, -10)
     found = {}
-    for process in ([OrnsteinUhlenbeck()], [OrnsteinUhlenbeck(), SmoothAndRough()]):
+    for process in (OrnsteinUhlenbeck(), SmoothAndRough()):
         idata = infer(
             recording, ARM, torque=process, settings=coarse, method="laplace", num_filters=20, num_draws=10, substeps=1
         )
@@ -122,3 +126,32 @@ def test_a_robots_torque_is_known_more_narrowly_by_the_sum():
     assert rms < 0.9 * found["OrnsteinUhlenbeck"][0]
     assert width < found["OrnsteinUhlenbeck"][1]
     assert 0.8 < covers < 0.99
+
+
+def test_draws_are_of_each_process_and_of_uncertain_parameters(smooth, tmp_path):
+    """Its evidence is the mixture's, its band no narrower than that of the most probable process as it was fitted."""
+    few = replace(smooth, time=TIME[:60], angles=smooth.angles[:60], keypoints=smooth.keypoints[:60])
+    sizes = {"num_filters": 16, "num_particles": 30, "num_draws": 4}
+
+    def found(torque, **options):
+        return infer(few, ARM, method="laplace", torque=torque, settings=KNOWN, seed=1, **sizes, **options)
+
+    mixed = found(BOTH, checkpoint=tmp_path / "run")
+    settings = json.loads(mixed.attrs["settings"])
+    evidence = settings["torque_evidence"]
+    assert sum(settings["torque_sets"].values()) == 16
+    whole = np.logaddexp(*evidence.values()) - np.log(2)
+    assert mixed.attrs["log_evidence"] == pytest.approx(whole, abs=0.7)  # Laplace's, to the error of 48 draws
+    assert mixed["posterior"].sizes["chain"] * mixed["posterior"].sizes["draw"] == 64
+    alone = found(next(each for each in BOTH if type(each).__name__ == settings["torque_process"]))
+    sd, fitted = (float(pooled(each)["torque"].std("sample").mean()) for each in (mixed, alone))
+    assert 0.9 * fitted < sd < 3 * fitted
+    for again in (found(BOTH), found(BOTH, checkpoint=tmp_path / "run")):
+        np.testing.assert_array_equal(again["posterior"]["torque"], mixed["posterior"]["torque"])
+
+
+def test_of_settings_of_a_torque_the_process_follows():
+    assert [type(each).__name__ for each in default_torques()] == [
+        TORQUE_PROCESSES[name].__name__ for name in SMOOTHNESS
+    ]
+    assert [type(each) for each in default_torques(["emission.keypoint_scale", "torque.decay"])] == [OrnsteinUhlenbeck]

@@ -1,0 +1,147 @@
+"""Models and their parameters drawn from their posterior, where several models may have made the rows.
+
+Each model c has free parameters φ, fitted (:mod:`.marginal_likelihood`). All models are as probable before the rows.
+Laplace's posterior of each, with the tails of a Student-t of ``DF`` degrees of freedom, is the proposal q, from which
+model c gets a share n_c / n of n draws in proportion to its Laplace evidence. Importance weights
+
+    w = p(y | φ, c) p(φ | c) / [C (n_c / n) q(φ | c)],      Ẑ = mean of w over the n draws,
+
+correct it, with the linearised model's evidence (:mod:`.posterior_linearisation`) for p(y | φ, c); systematic
+resampling leaves sets that weigh the same. A method that estimates p̂(y | φ, c) weighs a set by p̂ times its ``offset``,
+log Ẑ − log p(y | φ, c): an importance sampler over models, parameters and paths, whose evidence is that of the mixture.
+
+A point fit takes a torque's size and length scale for known, and its bands are too narrow.
+
+Shapes: P parameters, T rows, D states.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic
+
+import numpy as np
+import torch
+from pyro.distributions import MultivariateStudentT, Normal
+from torch import Tensor
+
+from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameters, M
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.models.divergence import Diverged, diverging
+
+DF = 8.0
+ROWS_AT_ONCE = 20_000
+"""Rows × parameter sets that are linearised in one batch: memory."""
+
+
+@dataclass(frozen=True)
+class Candidate(Generic[M]):
+    """A model with the parameters that its fit began at, which of them are free, and the fit."""
+
+    model: M
+    free: Sequence[Free]
+    fit: Fit[M]
+
+
+@dataclass(frozen=True)
+class ParameterSet(Generic[M]):
+    """A model with parameters that were drawn.
+
+    Attributes:
+        candidate: number of the candidate that it is of.
+        model: with these parameters.
+        path: (T, D) its most probable path.
+        offset: nats, to add to an estimate of its log-evidence; see the top of the file.
+    """
+
+    candidate: int
+    model: M
+    path: Tensor
+    offset: float
+
+
+def probabilities(candidates: Sequence[Candidate]) -> np.ndarray:
+    """Posterior probability (C,) of each candidate, by Laplace's evidence, all as probable before."""
+    evidence = np.array([float(each.fit.log_marginal) for each in candidates])
+    share = np.exp(evidence - evidence.max())
+    return share / share.sum()
+
+
+@torch.no_grad()
+def parameter_draws(
+    candidates: Sequence[Candidate[M]], observations: Tensor, count: int, *, proposals: int = 3
+) -> list[ParameterSet[M]]:
+    """Draw ``count`` sets that weigh the same, in the order of the candidates; by torch's global generator.
+
+    Args:
+        candidates: one or more models of the same rows.
+        observations: (T, O), NaN where missing.
+        count: of sets; one with a large weight may be there several times.
+        proposals: draws of the proposal for each set.
+    """
+    observations = observations.double()
+    share = probabilities(candidates)
+    total = proposals * count
+    sizes = np.diff(np.floor(total * np.concatenate([[0.0], share.cumsum()]) + 0.5).astype(int))
+    pieces = [_weighed(each, observations, int(size)) for each, size in zip(candidates, sizes, strict=True) if size > 0]
+    owners = np.repeat(np.arange(len(candidates)), sizes)
+    shares = torch.as_tensor(sizes[owners] / total)
+    log_weights = torch.cat([weight for weight, *_ in pieces]) - shares.log()
+    log_evidence = torch.cat([evidence for _, evidence, *_ in pieces])
+    phi = [row for _, _, piece, _ in pieces for row in piece]
+    paths = [path for *_, piece in pieces for path in piece]
+    whole = float(log_weights.logsumexp(0)) - math.log(total) - math.log(len(candidates))
+
+    # Systematic: set k is where the running sum of weights passes (k + u) / count.
+    places = (torch.arange(count, dtype=torch.float64) + torch.rand((), dtype=torch.float64)) / count
+    chosen = torch.searchsorted(log_weights.softmax(0).cumsum(0), places).clamp(max=total - 1)
+    found = []
+    for k in chosen.tolist():
+        candidate = candidates[owners[k]]
+        known = not candidate.free
+        model = candidate.fit.model if known else _parameters(candidate).at(phi[k])
+        found.append(ParameterSet(int(owners[k]), model, paths[k], whole - float(log_evidence[k])))
+    return found
+
+
+def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Log of p(y | φ) p(φ) / q(φ), log p(y | φ), both (size,), φ (size, P) and modes (size, T, D) of draws of q.
+
+    Where no draw has a mode, the fitted parameters stand for all.
+    """
+    found = candidate.fit
+    centre = torch.as_tensor(found.phi)
+    fitted = (
+        torch.full((size,), float(found.log_marginal), dtype=torch.float64),
+        torch.full((size,), found.log_evidence, dtype=torch.float64),
+        centre.expand(size, -1),
+        found.path.expand(size, -1, -1),
+    )
+    if not len(centre):
+        return fitted
+    parameters = _parameters(candidate)
+    prior = Normal(0.0, torch.as_tensor(parameters.sd)).to_event(1)
+    root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
+    proposal = MultivariateStudentT(torch.tensor(DF, dtype=torch.float64), centre, root)
+    phi = proposal.sample((size,))
+    evidence, paths = [], []
+    try:
+        with diverging():
+            for part in phi.split(max(1, ROWS_AT_ONCE // len(observations))):
+                many = parameters.at(part)
+                start = found.path.expand(len(part), -1, -1)
+                mode = gauss_newton(many, observations, start=start)
+                smoother = posterior_linearisation(many, observations, mode, 1)
+                evidence.append(smoother.log_evidence)
+                paths.append(mode.path)
+    except Diverged:
+        return fitted
+    log_evidence = torch.cat(evidence).nan_to_num(-torch.inf, neginf=-torch.inf, posinf=-torch.inf)
+    if not bool(torch.isfinite(log_evidence).any()):
+        return fitted
+    return log_evidence + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, torch.cat(paths)
+
+
+def _parameters(candidate: Candidate[M]) -> LogParameters[M]:
+    return LogParameters(candidate.model.to(dtype=torch.float64), candidate.free)

@@ -1,0 +1,109 @@
+"""Draws of a model and its parameters against quadrature over exact Gaussian evidences."""
+
+import numpy as np
+import pytest
+import torch
+from pyro.distributions import Normal
+from scipy.stats import multivariate_normal, norm
+
+from invdyn.inference import Free, fit
+from invdyn.inference.fitting.parameter_draws import Candidate, parameter_draws, probabilities
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.models import StateSpaceModel
+
+F64 = torch.float64
+START, WIDE = 0.3, 0.8
+NOISES = (0.3, 0.4)
+ROWS = 25
+
+
+class Walk(StateSpaceModel):
+    """A point that wanders by steps of an unknown size, seen with noise of a known one."""
+
+    state_dim, observation_dim, num_steps = 1, 1, ROWS
+
+    def __init__(self, noise, step=START):
+        super().__init__({"step": torch.tensor([step], dtype=F64), "noise": torch.tensor([noise], dtype=F64)})
+
+    def initial(self):
+        return Normal(torch.zeros(1, dtype=self.dtype), 1.0).to_event(1)
+
+    def transition(self, state, t):
+        return Normal(state, self.parameters["step"]).to_event(1)
+
+    def emission(self, state, t):
+        return Normal(state, self.parameters["noise"]).to_event(1)
+
+
+def exact(rows, noise):
+    """Log-evidence with the step's prior integrated out, and mean and sd of φ = log(step / START)."""
+    phi = np.linspace(-4, 4, 801)
+    places = np.minimum.outer(np.arange(ROWS), np.arange(ROWS))
+    values = np.array(
+        [
+            multivariate_normal.logpdf(rows, cov=1 + (START * np.exp(each)) ** 2 * places + noise**2 * np.eye(ROWS))
+            for each in phi
+        ]
+    )
+    weights = np.exp(values - values.max()) * norm.pdf(phi, scale=WIDE)
+    total = weights.sum() * (phi[1] - phi[0])
+    mean = (weights * phi).sum() / weights.sum()
+    sd = np.sqrt((weights * (phi - mean) ** 2).sum() / weights.sum())
+    return values.max() + np.log(total), mean, sd
+
+
+@pytest.fixture(scope="module")
+def rows():
+    torch.manual_seed(3)
+    return Walk(NOISES[0], 0.15).simulate()[1].double()
+
+
+@pytest.fixture(scope="module")
+def candidates(rows):
+    free = [Free("step", sd=WIDE)]
+    return [Candidate(Walk(noise), free, fit(Walk(noise), rows, free)) for noise in NOISES]
+
+
+def test_offsets_make_the_mixtures_evidence(rows, candidates):
+    """Every set's own evidence plus its offset is the evidence of the mixture, to the error of 600 draws."""
+    torch.manual_seed(0)
+    sets = parameter_draws(candidates, rows, 200)
+    found = [gauss_newton(each.model, rows).log_evidence.item() + each.offset for each in sets]
+    wanted = np.logaddexp(*(exact(rows.squeeze(-1).numpy(), noise)[0] for noise in NOISES)) - np.log(2)
+    np.testing.assert_allclose(found, found[0], atol=1e-6)
+    assert found[0] == pytest.approx(wanted, abs=0.1)
+
+
+def test_models_and_parameters_are_in_proportion(rows, candidates):
+    """Shares and moments to three errors of 400 draws."""
+    torch.manual_seed(1)
+    sets = parameter_draws(candidates, rows, 400)
+    oracle = [exact(rows.squeeze(-1).numpy(), noise) for noise in NOISES]
+    share = 1 / (1 + np.exp(oracle[1][0] - oracle[0][0]))
+    assert probabilities(candidates)[0] == pytest.approx(share, abs=0.05)
+    first = [each for each in sets if each.candidate == 0]
+    assert len(first) / 400 == pytest.approx(share, abs=3 * np.sqrt(share * (1 - share) / 400))
+    phi = np.log([each.model.parameters["step"].item() / START for each in first])
+    _, mean, sd = oracle[0]
+    assert phi.mean() == pytest.approx(mean, abs=4 * sd / np.sqrt(len(phi)))
+    assert phi.std() == pytest.approx(sd, rel=0.2)
+    assert {each.model.parameters["noise"].item() for each in first} == {NOISES[0]}
+
+
+def test_the_same_seed_draws_the_same(rows, candidates):
+    def drawn():
+        torch.manual_seed(5)
+        return parameter_draws(candidates, rows, 16)
+
+    one, two = drawn(), drawn()
+    assert [each.offset for each in one] == [each.offset for each in two]
+    assert [each.candidate for each in one] == sorted(each.candidate for each in one)
+    assert all(torch.equal(a.path, b.path) for a, b in zip(one, two, strict=True))
+
+
+def test_without_free_parameters_the_models_alone_are_drawn(rows):
+    known = [Candidate(Walk(noise, 0.15), [], fit(Walk(noise, 0.15), rows, [])) for noise in NOISES]
+    torch.manual_seed(0)
+    sets = parameter_draws(known, rows, 50)
+    share = probabilities(known)[0]
+    assert sum(each.candidate == 0 for each in sets) / 50 == pytest.approx(share, abs=0.03)
