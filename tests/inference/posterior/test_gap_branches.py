@@ -83,7 +83,8 @@ def test_what_is_in_doubt_is_in_the_summary_and_outlives_a_checkpoint(monkeypatc
     monkeypatch.setattr(gap_branches, "REPORTED", 0.0)
     arm, recording, _ = recorded(12)
     options = {"method": "laplace", "num_filters": 2, "num_draws": 20, "checkpoint": tmp_path / "run"}
-    first, again = (infer(recording, arm, **options) for _ in range(2))
+    with pytest.warns(UserWarning, match="fore 1 turn"):
+        first, again = (infer(recording, arm, **options) for _ in range(2))
     (reported,) = json.loads(again.attrs["settings"])["in_doubt"]
     assert "fore 1 turn" in reported
     assert reported in summary_text(first)
