@@ -14,8 +14,8 @@ a diagnosis shows, with `--budget` seconds for its search. *Inside* counts publi
     pendulum  DFKI's simple pendulum, dfki-ric-underactuated-lab/torque_limited_simple_pendulum @ ed17ea2:
               results/control_method_pd/system_identification/data_measured.csv, and what was identified from it
 
-Numbers were tuned on `TUNING`; the others were not looked at before a number was set. The last two are read from
-``--files``, a folder with these two files, and left out without it.
+Numbers were set on `TUNING`; of the others ibm's swings, dfki-00 and the pendulum had been looked at, too. The last two
+are read from ``--files``, a folder with these two files, and left out without it.
 
     INVDYN_DATA=… python benchmarks/board.py [NAME …] [--diagnose] [--budget 60] [--files FOLDER]
 """
@@ -132,9 +132,7 @@ def pendulum(folder: Path) -> tuple[Given, Published]:
 def recordings(folder: Path | None) -> dict[str, Callable[[], tuple[Given, Published]]]:
     """All of them by name, made when they are asked for."""
     found: dict[str, Callable[[], tuple[Given, Published]]] = {}
-    found |= {
-        f"dfki-{run}": lambda run=run: dfki(run) for run in ("00", "01", "02", "03", "04", "05", "11", "12", "13")
-    }
+    found |= {f"dfki-{run}": lambda run=run: dfki(run) for run in DFKI}
     found |= {f"ibm-{number}": lambda number=number: ibm(number) for number in range(10)}
     found |= {f"kuka-{trial}": lambda trial=trial: kuka(trial) for trial in (1, 2)}
     if folder is not None:
@@ -159,7 +157,7 @@ def row(name: str, made: Callable[[], tuple[Given, Published]], budget: float | 
     start = time.process_time()
     regression = regress(recording, body, passive=passive)
     spent = time.process_time() - start
-    half = "tuning" if name in TUNING else "kept back"
+    half = "tuning" if name in TUNING else "other"
     if regression is None:
         return [name, half, *["–"] * 8]
     closing: Closing | None = measured_regression(regression, body, passive)

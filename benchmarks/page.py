@@ -59,6 +59,7 @@ COMMANDS = {
     "ablation": "ablation.py",
     "expected_gain": "expected_gain.py --only commanded",
     "excite": "excite.py --seeds 3",
+    "board": "board.py",
     "check": "check.py --seed 46000 --results build/check.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
