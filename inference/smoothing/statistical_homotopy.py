@@ -22,6 +22,7 @@ Shapes: observations (T, O), path (T, D). All in float64; the model gives no der
 """
 
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -80,38 +81,35 @@ def first_fit(model: StateSpaceModel, observations: Tensor, path: Tensor) -> Gau
 
 
 def _stage(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
-    before = math.inf
-    for _ in range(PASSES):
-        try:
-            with diverging():
-                smoother = one_pass(model, observations, smoother)
-        except Singular:
-            break
-        evidence = float(smoother.log_evidence)
-        if abs(evidence - before) < SETTLED:
-            break
-        before = evidence
+    """The last of a stage's passes."""
+    for each, _ in _passes(model, observations, smoother, PASSES, SETTLED):
+        smoother = each
     return smoother
 
 
 def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
     """The best of the last stage's passes."""
-    best: GaussianSmoother | None = None
+    found = list(_passes(model, observations, smoother, LAST_PASSES, LAST_SETTLED))
+    if not found:
+        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
+    best = max((each for each, _ in found), key=lambda each: float(each.log_evidence))
+    best.converged = torch.tensor(found[-1][1])
+    return best
+
+
+def _passes(
+    model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, most: int, tolerance: float
+) -> Iterator[tuple[GaussianSmoother, bool]]:
+    """At ``most`` so many passes, each with whether its evidence has settled; that, or a singular one, is the end."""
     before, settled = math.inf, False
-    for _ in range(LAST_PASSES):
+    for _ in range(most):
         try:
             with diverging():
                 smoother = one_pass(model, observations, smoother)
         except Singular:
-            break
+            return
         evidence = float(smoother.log_evidence)
-        if best is None or evidence > float(best.log_evidence):
-            best = smoother
-        settled = abs(evidence - before) < LAST_SETTLED
-        before = evidence
+        settled, before = abs(evidence - before) < tolerance, evidence
+        yield smoother, settled
         if settled:
-            break
-    if best is None:
-        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
-    best.converged = torch.tensor(settled)
-    return best
+            return
