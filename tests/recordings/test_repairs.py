@@ -97,8 +97,7 @@ def test_wrapped_encoders_go_on(wrap):
 
 
 def test_one_reading_that_is_off_by_nearly_a_revolution_is_no_wrap():
-    angle = np.sin(np.arange(80) / 10)[:, None]
-    off = angle.copy()
+    off = 0.1 * np.sin(np.arange(80) / 10)[:, None]
     off[30] += 5.5
     given = Recording(np.arange(80) / 50, np.empty((80, 0, 2)), (), angles=off, joint_names=("elbow",))
     np.testing.assert_array_equal(unwrapped(given).angles, off)

@@ -1,5 +1,9 @@
 """Fitted lines under relaxed noise: exact where nothing is bent, and along where tangents fail."""
 
+import itertools
+from dataclasses import replace
+from importlib import import_module
+
 import legs
 import numpy as np
 import oracles
@@ -35,6 +39,24 @@ def test_linear_models_stay_exact():
     assert smoother.covariance().numpy() == pytest.approx(covariances, abs=1e-6)
     assert smoother.log_evidence.item() == pytest.approx(oracles.kalman(chain, y)[0], abs=1e-6)
     assert bool(smoother.converged)
+
+
+def test_it_says_whether_the_last_stage_settled(monkeypatch):
+    """Passes whose evidence goes to and fro have not; the best of them is taken."""
+    chain = oracles.random_chain(seed=2)
+    model, rows = chain.model(8), torch.as_tensor(chain.simulate(8, seed=2)[1])
+    room = import_module("invdyn.inference.smoothing.statistical_homotopy")
+    real, count = room.one_pass, itertools.count()
+
+    def to_and_fro(*given):
+        found = real(*given)
+        return replace(found, log_evidence=found.log_evidence + (5.0 if next(count) % 2 else 0.0))
+
+    exact = float(statistical_homotopy(model, rows).log_evidence)
+    monkeypatch.setattr(room, "one_pass", to_and_fro)
+    found = statistical_homotopy(model, rows)
+    assert not bool(found.converged)
+    assert float(found.log_evidence) == pytest.approx(exact + 5.0)
 
 
 def test_scales_fitted_on_a_linearisation_are_those_of_most_evidence():
