@@ -1,0 +1,169 @@
+"""A weighted fit of the effects that a torque lacks, with a covariance that knows of correlated errors.
+
+Row t of joint j has the weight
+
+    w = 1/(1 + Σ_p β_p² var[Y_p]/σ_j²) · (ν + 1)/(ν + r²/σ_j²),     ν = 4
+
+for what the smoother does not know of X, and for heavy tails (Lange, Little & Taylor 1989). A joint at rest has w = 0:
+it may stick, under any torque. Which effects, and where, is decided by evidence over groups
+(:mod:`.grouped_evidence`). What is left is taken to remember no more than the residual torque of a diagnosis does,
+e^{−20 t}, or the low-pass filter.
+
+With A = XᵀWX/σ² + Λ the covariance of β is A⁻¹ B A⁻¹, B the sum over blocks of rows of (Σ x w r/σ²)(…)ᵀ: blocks several
+correlation times long, with as many degrees of freedom (Künsch 1989; White 1980).
+
+Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
+from invdyn.diagnosis.regression.linear_effects import LinearEffects
+from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.rules import FIXED, Rules
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows."""
+
+    chosen: Chosen
+    covariance: np.ndarray
+    freedom: int
+    weights: np.ndarray
+
+
+def weighted_fit(
+    effects: LinearEffects, motion: MeasuredMotion, rules: Rules, plain: tuple[str, ...] | None = None
+) -> Fitted:
+    """Weights and time constants from all columns, then the choice among them, then both again with it.
+
+    Of ``plain`` kinds nothing is chosen: they are there at all places.
+    """
+    moving = effects.free & (np.abs(effects.values).max((1, 2)) > 0)
+    kinds: dict[str, dict[str, tuple[int, ...]]] = {}
+    for p in np.flatnonzero(moving):
+        places = kinds.setdefault(effects.kinds[p], {})
+        places[effects.places[p]] = (*places.get(effects.places[p], ()), int(p))
+    moves = _moves(motion, rules)
+    weights, noise = moves, np.sqrt((effects.missing**2).mean(0)) + 1e-300
+    columns = np.flatnonzero(moving)
+    prior = 1 / effects.size[columns] ** 2
+    for _ in range(3):
+        values, left, noise = _solved(effects, columns, prior, weights, noise)
+        weights = moves * _weights(effects, columns, values, left, noise)
+    chosen = Chosen()
+    step = float(np.median(np.diff(motion.time)))
+    longest, least = 2 / (rules.residual.residual_decay * step), 1 / (2 * effects.cutoff * step)
+    for _ in range(2):
+        tau = np.clip(correlation_times(left, motion.stretch), least, max(least, longest))
+        moments = _moments(effects, weights, tau)
+        choice = Choice(moments, kinds, effects.size, effects.least, rules.evidence.tolerance * effects.required, rules)
+        chosen = choice.chosen() if plain is None else choice.plain(plain)
+        columns = np.array(chosen.columns, dtype=int)
+        left = left_by(effects, chosen)
+        noise = np.maximum(chosen.noise, 1e-300)
+        weights = moves * _weights(effects, columns, chosen.values, left, noise)
+    covariance, freedom = _covariance(effects, chosen, weights, motion.stretch, correlation_times(left, motion.stretch))
+    return Fitted(chosen, covariance, freedom, weights)
+
+
+def _moves(motion: MeasuredMotion, rules: Rules) -> np.ndarray:
+    """(R, K): 1 where a joint turns, 0 where it may stick; 1 everywhere for one that hardly ever turns."""
+    speed = np.sqrt((motion.qd**2).mean(0))
+    moves = np.abs(motion.qd) > np.maximum(rules.check.slow_velocity * speed, 2 * motion.qd_sd)
+    return np.where(moves.mean(0) > FIXED.min_moving_share, moves, True).astype(float)
+
+
+def _solved(
+    effects: LinearEffects, columns: np.ndarray, prior: np.ndarray, weights: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted ridge estimates (p,), what they leave (R, K), and its weighted rms (K,)."""
+    scaled = np.sqrt(weights) / noise
+    X = (effects.values[columns] * scaled).reshape(len(columns), -1)
+    A = X @ X.T + np.diag(prior)
+    unit = np.sqrt(np.diag(A))
+    values = np.linalg.solve(A / unit[:, None] / unit, X @ (effects.missing * scaled).ravel() / unit) / unit
+    left = effects.missing - np.tensordot(values, effects.values[columns], 1)
+    return values, left, np.sqrt((weights * left**2).sum(0) / weights.sum(0)) + 1e-300
+
+
+def _weights(
+    effects: LinearEffects, columns: np.ndarray, values: np.ndarray, left: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """(R, K); see the top of the file."""
+    unknown = np.tensordot(values**2, effects.variance[columns], 1) / noise**2
+    spread, tail = 1 + unknown, FIXED.regression_tail
+    return (tail + 1) / (tail + left**2 / noise**2 / spread) / spread
+
+
+def correlation_times(left: np.ndarray, stretch: np.ndarray) -> np.ndarray:
+    """Integrated autocorrelation times (K,), rows, of what is left, (R, K): sums of pairs while they are positive."""
+    found = np.ones(left.shape[1])
+    longest = np.flatnonzero(stretch == np.bincount(stretch).argmax())
+    for k in range(left.shape[1]):
+        own = left[longest, k] - left[longest, k].mean()
+        spectrum = np.abs(np.fft.rfft(own, 2 * len(own))) ** 2
+        correlation = np.fft.irfft(spectrum)[: len(own) // 2]
+        if correlation[0] <= 0:
+            continue
+        pairs = (correlation[:-1] + correlation[1:])[::2] / correlation[0]
+        stop = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else len(pairs)
+        found[k] = max(2 * pairs[:stop].sum() - 1, 1.0)
+    return found
+
+
+def _moments(effects: LinearEffects, weights: np.ndarray, tau: np.ndarray) -> Moments:
+    """Of all rows, and of folds of neighbouring ones."""
+    number = FIXED.cross_validation_folds
+    edges = np.linspace(0, len(weights), number + 1).astype(int)
+    folds = [_sums(effects, weights, slice(*pair)) for pair in pairwise(edges)]
+    gram, cross, square = (np.sum(each, axis=0) for each in zip(*folds, strict=True))
+    rows = np.maximum(weights.sum(0), 1e-300)
+    return Moments(gram, cross, square, rows / tau, rows, tuple(folds))
+
+
+def _sums(effects: LinearEffects, weights: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """XᵀWX (K, P, P), XᵀWy (K, P) and yᵀWy (K,) of each joint over some rows."""
+    X, y, w = effects.values[:, rows], effects.missing[rows], weights[rows]
+    weighted = X * w
+    gram = np.stack([weighted[:, :, k] @ X[:, :, k].T for k in range(w.shape[1])])
+    return gram, np.einsum("prk,rk->kp", weighted, y), (w * y**2).sum(0)
+
+
+def _covariance(
+    effects: LinearEffects, chosen: Chosen, weights: np.ndarray, stretch: np.ndarray, tau: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """A⁻¹ B A⁻¹ (p, p) over blocks, at least the posterior's of rows that count; and the blocks less one."""
+    columns = list(chosen.columns)
+    if not columns:
+        return np.zeros((0, 0)), 1
+    X, left = effects.values[columns], left_by(effects, chosen)
+    scaled = weights / chosen.noise**2
+    prior = np.array([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
+    gram = np.einsum("prk,rk,qrk->pq", X, scaled, X, optimize=True) + np.diag(prior)
+    inverse = _inverse(gram)
+    scores = np.einsum("prk,rk->rp", X, scaled * left)
+    length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(scores) // 8, 1)))
+    block = np.unique(stretch * len(scores) + np.arange(len(scores)) // length, return_inverse=True)[1]
+    count = int(block.max()) + 1
+    sums = np.zeros((count, len(columns)))
+    np.add.at(sums, block, scores)
+    robust = inverse @ (sums.T @ sums) @ inverse * count / max(count - 1, 1)
+    mean = np.einsum("prk,rk,qrk->pq", X, scaled / tau, X, optimize=True) + np.diag(prior)
+    grow = np.sqrt(np.maximum(np.diag(_inverse(mean)) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    return robust * grow[:, None] * grow, max(count - 1, 1)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a positive matrix (p, p), in units in which its diagonal is one."""
+    unit = np.sqrt(np.diag(matrix))
+    return np.linalg.pinv(matrix / unit[:, None] / unit, rcond=1e-12, hermitian=True) / unit[:, None] / unit
+
+
+def left_by(effects: LinearEffects, chosen: Chosen) -> np.ndarray:
+    """(R, K) N·m of what is missing that chosen effects do not explain."""
+    return effects.missing - np.tensordot(chosen.values, effects.values[list(chosen.columns)], 1)
