@@ -42,8 +42,8 @@ COMMANDS = {
     "ladder": "ladder.py",
     "spatial_dynamics": "spatial_dynamics.py",
     "projection": "projection.py",
-    "moving_base": "moving_base.py --seeds 2 --cases still/2 walking/2 running/2 jumping/2 "
-    "--results build/moving_base.jsonl",
+    "moving_base": "moving_base.py --seeds 2 --cases still/2 walking/2 running/2 jumping/2 bus/2 falling/2 "
+    "walking/3 falling/3",
     "walker": "walker.py",
     "walker_arm": "walker_arm.py --every 3 --results build/walker_arm.jsonl",
     "simulated_cameras": 'simulated_cameras.py --cases two three four hidden clock "two, points" "four, points" '
