@@ -16,6 +16,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import arviz as az
+
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.findings import key
@@ -38,6 +40,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnou
 from invdyn.diagnosis.problem.thinned import left_out
 from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.report.report import render
+from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference import save_posterior
@@ -285,7 +288,7 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
     Without a posterior, one that lies there from an earlier diagnosis is removed. By as many processes as there are
     ``workers``. Raises OSError where they cannot be written.
     """
-    folder, posterior = Path(folder), diagnosis.posterior
+    folder, posterior = Path(folder), _with_tracks(diagnosis)
 
     def texts() -> tuple[str, str]:
         return json.dumps(diagnosis.to_json(), indent=1, ensure_ascii=False) + "\n", render(diagnosis)
@@ -299,3 +302,16 @@ def save(diagnosis: Diagnosis, folder: str | Path, *, workers: int = 1) -> None:
         write_text(folder / "report.html", page)
     if posterior is None:
         (folder / "posterior.nc").unlink(missing_ok=True)
+
+
+def _with_tracks(diagnosis: Diagnosis) -> az.InferenceData | None:
+    """The posterior, and in its group "tracks" what the report draws, with the report's words for it."""
+    posterior, tracks = diagnosis.posterior, diagnosis.tracks
+    if posterior is None or tracks is None:
+        return posterior
+    sites = tuple(str(name) for name in posterior["posterior"]["keypoint"].values)
+    drawn = tracks.dataset(diagnosis.joint_names, sites)
+    drawn.attrs |= {"recording": diagnosis.recording, "verdict": verdict(diagnosis)}
+    drawn.attrs["details"] = "\n".join(details(diagnosis))
+    groups = {name: posterior[name] for name in posterior.groups()}
+    return az.InferenceData(attrs=posterior.attrs, **groups, tracks=drawn)

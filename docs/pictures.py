@@ -1,8 +1,9 @@
 """Make the pictures of README.md, from real runs: `python docs/pictures.py`, or `… demo`, `… compare`.
 
-demo.png and demo.gif are what `invdyn demo` draws. compare.png is the figure of `invdyn compare`, and model.png what
-the model in README.md gives. diagnosis.png is the top of the report on a simulated arm with friction at its elbow
-(needs chromium, chromedriver and the extra `dev`). cost.png comes from `python benchmarks/cost.py`.
+demo.png and demo.gif are what `invdyn demo` draws, view.png is the page of `invdyn view` for it. compare.png is the
+figure of `invdyn compare`, model.png what the model in README.md gives. diagnosis.png is the top of the report on a
+simulated arm with friction at its elbow. Pages need chromium, chromedriver and the extra `dev`. cost.png comes from
+`python benchmarks/cost.py`.
 """
 
 import io
@@ -19,6 +20,7 @@ DOCS = Path(__file__).parent
 COLOURS = 128  # of a palette: a third of the bytes, and the eye sees no difference
 WIDTH = 1400  # pixels
 WINDOW = 1000, 1275  # pixels, of the report that is shown
+PAGE = 1280, 1180
 
 
 def demo(folder: str) -> None:
@@ -27,6 +29,11 @@ def demo(folder: str) -> None:
     figure = Image.open(Path(folder) / "figure.png")
     _keep(figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS), "demo.png")
     shutil.copyfile(Path(folder) / "film.gif", DOCS / "demo.gif")
+    subprocess.run(
+        [sys.executable, "-m", "invdyn", "view", f"{folder}/posterior.nc", "--out", f"{folder}/view.html"], check=True
+    )
+    moment = "const s = document.getElementById('slider'); s.value = 36; s.dispatchEvent(new Event('input'));"
+    _photograph(Path(folder) / "view.html", "view.png", PAGE, moment)
 
 
 def compare(folder: str) -> None:
@@ -72,7 +79,6 @@ def model(folder: str) -> None:
 def diagnosis(folder: str) -> None:
     """Diagnose a simulated arm that has friction at its elbow, and photograph the report."""
     import torch
-    from selenium import webdriver
 
     from invdyn.diagnosis import diagnose, save
     from invdyn.models import Link, planar_body
@@ -86,16 +92,23 @@ def diagnosis(folder: str) -> None:
     damping = torch.tensor([0.05], dtype=torch.float64)
     recording, _ = record(arm.replace(**{"effect.viscous_friction.elbow.damping": damping}))
     save(diagnose(recording, body), folder)
+    _photograph(Path(folder) / "report.html", "diagnosis.png", WINDOW)
+
+
+def _photograph(page: Path, name: str, window_size: tuple[int, int], script: str = "") -> None:
+    """Keep the top of a page, once a script of its own has run."""
+    from selenium import webdriver
 
     options = webdriver.ChromeOptions()
     for flag in ("headless=new", "no-sandbox", "disable-gpu", "hide-scrollbars"):
         options.add_argument(f"--{flag}")
     window = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
     try:
-        size = dict(zip(("width", "height"), WINDOW, strict=True))
+        size = dict(zip(("width", "height"), window_size, strict=True))
         window.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
-        window.get((Path(folder) / "report.html").resolve().as_uri())
-        _keep(Image.open(io.BytesIO(window.get_screenshot_as_png())), "diagnosis.png")
+        window.get(page.resolve().as_uri())
+        window.execute_script(script)
+        _keep(Image.open(io.BytesIO(window.get_screenshot_as_png())), name)
     finally:
         window.quit()
 

@@ -1,4 +1,4 @@
-"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | demo`; cameras, films.
+"""The command line: `invdyn simulate | check | infer | compare | diagnose | blind | plot | view | demo`; films.
 
 Each command checks, then works, then writes.
 """
@@ -302,26 +302,49 @@ def plot(
 
 
 @command()
+def view(
+    file: Annotated[
+        Path, typer.Argument(help="A posterior of `invdyn infer`, .nc; or the folder of `invdyn diagnose`.")
+    ],
+    out: Annotated[Path, typer.Option(help="The page: .html.")],
+) -> None:
+    """One page of a result, to look at and to send.
+
+    The body and its curves move on one time axis. It opens without a server
+    and without a network.
+    """
+    from .input_names import check_exist
+
+    check_exist(str(file))
+
+    from .view import write_view
+
+    check_outputs([out], [file])
+    check_ending("a page", out, ".html")
+    write_view(file, out)
+    say(f"page       {out}")
+
+
+@command()
 def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
-    """Simulate an arm, infer its torques, draw them."""
+    """Simulate a person's arm, infer its torques, draw them."""
     from invdyn.inference import infer as run
     from invdyn.recordings import new_folder, whole_set, write_keypoint_csv, write_truth
 
-    from .inputs import load_body
     from .outputs import OutputFiles, check_folder
-    from .simulate import PAPER, paper_arm, record
+    from .simulate import person_arm, random_arm, record
     from .summary import summary_text
 
     check_folder(out, [], [])
-    arm = load_body("paper_planar_arm")
-    recording, truth = record(paper_arm(arm), seed, "planar arm")
+    arm = person_arm()
+    recording, truth = record(random_arm(arm, duration=4.0, noise=0.008, seed=seed), seed, "arm of a person")
     names = ("posterior.nc", "figure.png", "film.gif", "torques.sto", "torques.csv")
     files = OutputFiles(tuple(out / name for name in names))
     arm_file, recording_file, truth_file = out / "arm.toml", out / "recording.csv", out / "truth.csv"
     with new_folder(out), ProgressBar() as progress:
         files.check()
         check_outputs([arm_file, recording_file, truth_file])
-        idata = run(recording, arm, truth=truth, seed=seed, progress=progress, **PAPER)
+        idata = run(recording, arm, truth=truth, seed=seed, progress=progress)
         with whole_set():
             arm.to_toml(arm_file)
             write_keypoint_csv(recording, recording_file)

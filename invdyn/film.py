@@ -51,6 +51,7 @@ MAX_SHOWN_FRAMES = 750  # longer recordings show fewer frames a second, at the s
 ARMS = 30  # posterior draws shown as pale arms
 VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
 """Of each number of coordinates: which two each picture shows."""
+WIDTH = 6.4  # inches
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
@@ -114,17 +115,18 @@ def film_frames(
         arms, mean, observed = map(overlay.pixels, (arms, mean, observed))
     dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
     with matplotlib.rc_context(STYLE):
-        figure, arm_axes, torque_axes = still_parts(idata, arms, observed)
+        figure, arm_axes, torque_axes = still_parts(idata, arms, observed, None if overlay is None else overlay.size)
         canvas = FigureCanvasAgg(figure)
         pictures = [Picture(axes, list(view), dotted) for axes, view in zip(arm_axes, views, strict=True)]
-        clock = arm_axes[-1].text(0.99, 0.98, "", transform=arm_axes[-1].transAxes, ha="right", va="top", fontsize=9)
+        clock = arm_axes[-1].set_title(f"{time[-1]:.2f} s", loc="right")  # above the picture, not over it
         cursors = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
         moving: list[Any] = [*(artist for picture in pictures for artist in picture.artists), clock, *cursors]
         if overlay is not None:
             height, width = overlay.size
             film, axes = overlay.pictures(shown), arm_axes[0]
+            across, down = axes.get_xlim(), axes.get_ylim()
             beneath = axes.imshow(np.zeros((1, 1, 3)), extent=(-0.5, width - 0.5, height - 0.5, -0.5), zorder=0)
-            axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u (px)", ylabel="v (px)")
+            axes.set(xlim=across, ylim=down, xlabel="u (px)", ylabel="v (px)")
             moving.insert(0, beneath)
         for artist in moving:
             artist.set_animated(True)
@@ -202,27 +204,35 @@ class Picture:
 
 
 def still_parts(
-    idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray
+    idata: az.InferenceData, arms: np.ndarray, observed: np.ndarray, film: tuple[int, int] | None
 ) -> tuple[Figure, list[Axes], list[Axes]]:
-    """Figure with the arm's axes, one a view, and each joint's torque over time; everything but what moves."""
+    """Figure with the arm's axes, one a view, and each joint's torque over time; everything but what moves.
+
+    Axes are cropped to where the arm goes; over a ``film``, (height, width) px, they stay within its pictures.
+    """
     joints = idata["posterior"]["joint"].values
     time = idata["posterior"]["time"].values
     unit, views = idata["posterior"]["position"].attrs["units"], VIEWS[arms.shape[-1]]
     columns = max(1 if len(joints) <= 3 else 2, len(views))
     rows = -(-len(joints) // columns)
-    figure = Figure(figsize=(6.4, 4.6 + 1.2 * rows), dpi=100, layout="constrained")
-    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[4.2] + [1.2] * rows)
     # a tracker's outlier must not shrink the arm to a dot
     none, drawn = np.empty((0, arms.shape[-1])), sorted({place for line in skeleton(idata) for place in line})
     far = np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else none
     points = np.concatenate([arms[:, :, drawn].reshape(-1, arms.shape[-1]), far])
+    low, high = points.min(0), points.max(0)
+    margin = 0.08 * max((high - low).max(), 1e-9)
+    low, high = low - margin, high + margin
+    if film is not None:
+        low, high = np.maximum(low, -0.5), np.minimum(high, np.array(film[::-1]) - 0.5)
+    spans = [(high - low)[list(view)] for view in views]
+    tall = float(np.clip(max(up / across for across, up in spans) * WIDTH / len(views), 0.35 * WIDTH, WIDTH))
+    figure = Figure(figsize=(WIDTH, tall + 0.6 + 1.2 * rows), dpi=100, layout="constrained")
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[tall] + [1.2] * rows)
     arm_axes = []
     for number, view in enumerate(views):
         axes = figure.add_subplot(grid[0, :] if len(views) == 1 else grid[0, number])
-        axes.update_datalim(points[:, list(view)])
-        axes.margins(0.06)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.autoscale_view()
+        (left, bottom), (right, top) = low[list(view)], high[list(view)]
+        axes.set(xlim=(left, right), ylim=(bottom, top) if film is None else (top, bottom), aspect="equal")
         across, up = ("xyz"[place] for place in view)
         axes.set(xlabel=f"{across} ({unit})", ylabel=f"{up} ({unit})")
         arm_axes.append(axes)

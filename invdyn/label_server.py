@@ -7,11 +7,13 @@ own page: a name that is rebound to 127.0.0.1 reaches nothing (DNS rebinding). C
 Each change is merged into the file of labels at once (:mod:`invdyn.recordings.tracking.shared_labels`).
 
     GET   /SECRET/           the page
-          /SECRET/state      numbers, names, size, suggested points; revision and changed points
+          /SECRET/state      page number; numbers, names, size, suggested points; revision and changed points
           /SECRET/picture/I  picture I as JPEG
     POST  /SECRET/labels     {"since": revision, "changes": [[picture, keypoint, [u, v] or null, version], ...]}
                              -> {"revision": ..., "changed": [...], "refused": [...]}, as the file has them now
-          /SECRET/done       ends the server
+          /SECRET/left       page number: it was closed
+          /SECRET/done       page number: its user is done -> {"open": other pages}; ends the server when no other page
+                             is open, or when the same page says so again
 """
 
 import hmac
@@ -61,6 +63,8 @@ class LabelServer(ThreadingHTTPServer):
 
     Attributes:
         active: number of connections that are open.
+        pages: numbers of the pages that are open.
+        over: whether somebody is done and no page is open.
 
     Raises InputError for a file that holds no labels, or those of other keypoints.
     """
@@ -86,6 +90,8 @@ class LabelServer(ThreadingHTTPServer):
             found = np.full((len(names), 3), np.nan) if suggest is None else suggest(picture)
             self.suggested.append(_or_null(found[:, :2]))
         self.active, self._counting = 0, threading.Lock()
+        self.pages: set[int] = set()  # that are open
+        self._numbered, self._done, self.over = 0, False, False
         super().__init__(("127.0.0.1", 0), _Handler)
 
     @property
@@ -104,8 +110,13 @@ class LabelServer(ThreadingHTTPServer):
         return self.shared.labels
 
     def state(self) -> dict:
-        """What the page begins with."""
+        """What a page begins with; it is open from here on."""
+        with self._counting:
+            self._numbered += 1
+            self.pages.add(self._numbered)
+            page = self._numbered
         return {
+            "page": page,
             "numbers": self.shared.numbers,
             "names": self.shared.names,
             "size": self.size,
@@ -134,7 +145,20 @@ class LabelServer(ThreadingHTTPServer):
             "changed": [_as_list(each) for each in changed],
         }
 
-    def done(self) -> None:
+    def leave(self, page: object, done: bool) -> dict[str, int]:
+        """A page was closed, or its user is done; the number of others that are open.
+
+        Where somebody is done, the end waits until no page is open: labels of another page would be lost. One that says
+        done again is believed.
+        """
+        with self._counting:
+            again = done and page not in self.pages
+            self.pages.discard(page if type(page) is int else -1)
+            self._done |= done
+            self.over = self._done and (again or not self.pages)
+            return {"open": 0 if self.over else len(self.pages)}
+
+    def end(self) -> None:
         """Let `serve_forever` return, once this answer is out."""
         threading.Thread(target=self.shutdown).start()
 
@@ -202,18 +226,19 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, "text/plain", b"not here")
 
     def do_POST(self) -> None:
-        """Labels, or the end."""
+        """Labels, or the end of a page."""
         path = self._path()
-        if path not in ("labels", "done"):
+        if path not in ("labels", "done", "left"):
             return self._send(404, "text/plain", b"not here")
         try:
             content = self._content()
-            answer = self.server.take(json.loads(content)) if path == "labels" else {}
+            said = json.loads(content or b"null")
+            answer = self.server.take(said) if path == "labels" else self.server.leave(said, path == "done")
         except (InputError, ValueError, RecursionError, OSError) as error:
             return self._send(400, "text/plain; charset=utf-8", str(error).encode(errors="replace"))
         self._send(200, "application/json", json.dumps(answer).encode())
-        if path == "done":
-            self.server.done()
+        if self.server.over:
+            self.server.end()
 
     def log_message(self, *_: object) -> None:
         """Say nothing."""

@@ -1,9 +1,10 @@
-"""The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands, and the filters' health.
+"""The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands.
 
 Each joint has a row with its angle (rad) and its torque (N·m). Next to them each tracked keypoint has a row, or a point
-of the body where none was tracked: observed and predicted, in the recording's length unit. Below stands the effective
-sample size of the filters over time, with resampling marked. Rows that tell nothing of a coordinate are hatched: what
-is drawn there is the prior.
+of the body where none was tracked: observed and predicted, in the recording's length unit. Rows that tell nothing of a
+coordinate are hatched: what is drawn there is the prior. Rows in which the filters kept few effective particles are
+marked below the torques: bands there differ from one seed to the next. A panel shows what nearly all rows hold, and a
+triangle at its edge says where a curve or a point leaves it.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
@@ -18,8 +19,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -53,6 +53,9 @@ STYLE: dict[Any, Any] = {
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNSEEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0}
+FEW: dict[str, Any] = {"facecolor": "#cc3311", "edgecolor": "none", "ymax": 0.03, "zorder": 4}
+MIN_PARTICLES = 10
+"""Effective particles of the median filter; of fewer its estimate of a quantile is mostly chance."""
 SHIFTING = {"torque": "N", "angle": "m", "velocity": "m/s"}
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
@@ -71,18 +74,19 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     shown = slice(None) if predicted else slice(-len(joints), None)  # a robot's file may name many points
     keypoints, tips = idata[group]["keypoint"].values[shown], quantiles(idata, "position", group)[:, :, shown]
     rows = max(len(joints), len(keypoints))
-    filtered = "ess" in idata["sample_stats"]  # else there are no particles whose number could be drawn
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12, 1.7 * rows + (2.2 if filtered else 0.8)), layout="constrained")
-        grid = figure.add_gridspec(rows + filtered, 3, height_ratios=[1] * rows + [0.7] * filtered)
+        figure = Figure(figsize=(12, 1.9 * rows + 1.0), layout="constrained")
+        grid = figure.add_gridspec(rows, 3)
         for row, keypoint in enumerate(keypoints):
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
             axes.set_ylabel(posterior["position"].attrs["units"])
-            for space, color in zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False):
+            spaces = list(zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False))
+            for space, color in spaces:
                 draw_bands(axes, time, tips[:, :, row, space], color)
-                if "position" in observed:
-                    draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
+            for space, color in spaces if "position" in observed else ():  # over all bands
+                draw_dots(axes, time, observed["position"].sel(keypoint=keypoint).values[:, space], color)
+            limit_to_usual(axes, time)
         last = "torque" if "torque" in posterior else "velocity"  # a kinematic model knows no forces
         for column, (name, color) in enumerate((("angle", GREEN), (last, PURPLE)), 1):
             bands = quantiles(idata, name)
@@ -94,12 +98,13 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 draw_unseen(axes, idata, row)
                 if name == "angle" and "angle" in observed:
                     draw_dots(axes, time, observed["angle"].values[:, row], color)
+                if name == last:
+                    draw_few(axes, idata)
                 if name == "torque" and "command" in known:
                     axes.step(time, known["command"].values[:, row], where="post", color=GREY, linewidth=0.9)
                 if f"truth_{name}" in known:
                     draw_truth(axes, time, known[f"truth_{name}"].values[:, row])
-        if filtered:
-            draw_sample_sizes(figure.add_subplot(grid[rows, :]), idata)
+                limit_to_usual(axes, time)
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
             place = axes.get_subplotspec()
@@ -110,6 +115,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 axes.tick_params(labelbottom=False)
         figure.align_ylabels()
         figure.legend(handles=legend_entries(idata), loc="outside upper left", ncols=10)
+        figure.supxlabel(heading(idata), x=0.995, ha="right", fontsize=8.5, color=GREY)
     return figure
 
 
@@ -184,6 +190,37 @@ def limit_to_most(axes: Axes, bands: list[np.ndarray], reference: np.ndarray) ->
         axes.set_ylim(max(middle - half, low - 0.05 * half), min(middle + half, high + 0.05 * half))
 
 
+def usual_range(values: np.ndarray) -> tuple[float, float] | None:
+    """What a panel shows of some values: all of them, but for spikes; None where they are all the same.
+
+    Usual is from the 2 % to the 98 % quantile, and half of that span beyond.
+    """
+    low, high = np.nanquantile(values, [0.02, 0.98])
+    room = 0.5 * (high - low)
+    least, most = max(np.nanmin(values), low - room), min(np.nanmax(values), high + room)
+    margin = 0.05 * (most - least)
+    return (float(least - margin), float(most + margin)) if margin > 0 else None
+
+
+def limit_to_usual(axes: Axes, time: np.ndarray) -> None:
+    """Limit a panel to :func:`usual_range` of its lines, dots and bands, so that a spike does not flatten the others.
+
+    What leaves the panel has a triangle at its edge, in its colour.
+    """
+    drawn = [(np.asarray(line.get_ydata(), float), line.get_color()) for line in axes.get_lines()]
+    edges = [path.vertices[:, 1] for band in axes.collections for path in band.get_paths()]
+    limits = usual_range(np.concatenate([*(values for values, _ in drawn), *edges]))
+    if limits is None:
+        return
+    axes.set_ylim(*limits)
+    for values, color in drawn:
+        for beyond, place, marker in ((values > limits[1], 0.97, "^"), (values < limits[0], 0.03, "v")):
+            turns = np.flatnonzero(beyond & ~np.concatenate([[False], beyond[:-1]]))
+            if len(turns):
+                edge = axes.get_xaxis_transform()
+                axes.plot(time[turns], 0 * turns + place, marker, color=color, markersize=5, transform=edge, zorder=6)
+
+
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure (.png, .pdf, .svg), whole or not at all. Raises OSError when it cannot."""
     with atomic_path(path) as temporary:
@@ -218,8 +255,13 @@ def draw_bands(axes: Axes, time: np.ndarray, bands: np.ndarray, color: str) -> N
 
 
 def draw_dots(axes: Axes, time: np.ndarray, values: np.ndarray, color: str) -> None:
-    """Observations; a missing one leaves its place empty. Many become pixels, not 10,000 vector shapes."""
-    axes.plot(time, values, ".", color=color, markersize=3, markeredgewidth=0, rasterized=len(time) > 1000)
+    """Observations, darker than the median and over it. Many become pixels, not 10,000 vector shapes.
+
+    A missing one leaves its place empty.
+    """
+    dark = tuple(0.55 * part for part in to_rgb(color))
+    size = 4 if len(time) < 300 else 2.5
+    axes.plot(time, values, ".", color=dark, markersize=size, mew=0, zorder=3, rasterized=len(time) > 1000)
 
 
 def draw_truth(axes: Axes, time: np.ndarray, values: np.ndarray) -> None:
@@ -235,12 +277,17 @@ def unseen_rows(idata: az.InferenceData) -> np.ndarray:
 
 
 def draw_unseen(axes: Axes, idata: az.InferenceData, joint: int) -> None:
-    """Hatch the rows that do not tell a coordinate, each from halfway to the one before to halfway to the next."""
-    time, unseen = idata["posterior"]["time"].values, unseen_rows(idata)[:, joint]
+    """Hatch the rows that do not tell a coordinate."""
+    span_rows(axes, idata, unseen_rows(idata)[:, joint], UNSEEN)
+
+
+def span_rows(axes: Axes, idata: az.InferenceData, rows: np.ndarray, style: dict[str, Any]) -> None:
+    """Mark some ``rows`` (time,), each from halfway to the one before to halfway to the next."""
+    time = idata["posterior"]["time"].values
     edges = np.concatenate([time[:1], (time[1:] + time[:-1]) / 2, time[-1:]])
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], unseen.astype(int), [0]])))
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
     for begin, end in changes.reshape(-1, 2):
-        axes.axvspan(edges[begin], edges[end], **UNSEEN)
+        axes.axvspan(edges[begin], edges[end], **style)
 
 
 def unseen_entry(idata: az.InferenceData) -> list[Artist]:
@@ -248,20 +295,16 @@ def unseen_entry(idata: az.InferenceData) -> list[Artist]:
     return [Patch(**UNSEEN, label="not seen: the prior")] if unseen_rows(idata).any() else []
 
 
-def draw_sample_sizes(axes: Axes, idata: az.InferenceData) -> None:
-    """Effective sample size, median and bands over filters; marks where they resampled, darker for more."""
-    statistics = idata["sample_stats"]
-    time = statistics["time"].values
-    sizes = statistics["ess"].transpose("filter", "time").values
-    draw_bands(axes, time, np.quantile(sizes, QUANTILES, axis=0), GREY)
-    share = statistics["resampled"].transpose("filter", "time").values.mean(axis=0)
-    marks = [[(t, 0.0), (t, 0.09)] for t in time[share > 0]]
-    colors = [to_rgba(INK, 0.15 + 0.85 * part) for part in share[share > 0]]
-    axes.add_collection(LineCollection(marks, colors=colors, linewidths=1, transform=axes.get_xaxis_transform()))
-    axes.set_title("effective sample size of the filters", loc="left")
-    axes.set_title(heading(idata), loc="right", color=GREY)
-    axes.set_ylabel("particles")
-    axes.set_ylim(0, 1.08 * sizes.max())
+def effective_particles(idata: az.InferenceData) -> np.ndarray:
+    """Of the median filter, (time,); infinite for a method without particles."""
+    if "ess" not in idata["sample_stats"]:
+        return np.full(idata["posterior"].sizes["time"], np.inf)
+    return np.median(idata["sample_stats"]["ess"].transpose("filter", "time").values, axis=0)
+
+
+def draw_few(axes: Axes, idata: az.InferenceData) -> None:
+    """Mark, along the time axis, the rows with few effective particles."""
+    span_rows(axes, idata, effective_particles(idata) < MIN_PARTICLES, FEW)
 
 
 def heading(idata: az.InferenceData) -> str:
@@ -288,6 +331,6 @@ def legend_entries(idata: az.InferenceData) -> list[Artist]:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
     if "command" in known:
         entries.append(Line2D([], [], color=GREY, linewidth=1, label="command"))
-    if "resampled" in idata["sample_stats"] and idata["sample_stats"]["resampled"].any():
-        entries.append(Line2D([], [], color=INK, ls="none", marker="|", markersize=8, label="filters resampled"))
+    if (least := effective_particles(idata).min()) < MIN_PARTICLES:
+        entries.append(Patch(facecolor=FEW["facecolor"], linewidth=0, label=f"few particles (least: {least:.1f})"))
     return entries + unseen_entry(idata)

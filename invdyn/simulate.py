@@ -7,7 +7,18 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from invdyn.models import ArmModel, Body, Encoders, Keypoints, Observation, OrnsteinUhlenbeck, Sensor, dynamics_for
+from invdyn.models import (
+    ArmModel,
+    Body,
+    Encoders,
+    Keypoints,
+    Link,
+    Observation,
+    OrnsteinUhlenbeck,
+    Sensor,
+    dynamics_for,
+    planar_body,
+)
 from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -42,6 +53,13 @@ PAPER_IN_SPACE: dict[str, Any] = {  # the same of its arm in space, as its code 
         "emission.keypoint_scale": math.sqrt(0.01),
     },
 }
+
+
+def person_arm() -> Body:
+    """The arm of a woman of 1.75 m and 70 kg, as if all of its numbers were known: those of `models.person`."""
+    upper = Link("upper_arm", "shoulder", "elbow", length=0.277, mass=1.785, com=0.160, inertia=0.0093)
+    forearm = Link("forearm", "elbow", "wrist", length=0.267, mass=1.358, com=0.180, inertia=0.0166)
+    return planar_body("arm of a person", [upper, forearm], gravity=(0.0, -9.81))
 
 
 def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Recording, Truth]:

@@ -88,6 +88,11 @@ def _uneven(idata: az.InferenceData) -> list[str]:
     ]
 
 
+def doubts_of(idata: az.InferenceData) -> list[str]:
+    """What may be wrong with a posterior, one line each; none where nothing is in doubt."""
+    return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *_uneven(idata)]
+
+
 def summary_text(idata: az.InferenceData) -> str:
     """What is in doubt first; then the table above and a line on evidence and sampler, where the method has them."""
     filters, frames = idata["sample_stats"].sizes["filter"], idata["posterior"].sizes["time"]
@@ -103,7 +108,7 @@ def summary_text(idata: az.InferenceData) -> str:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
     unit = idata["posterior"][quantity].attrs["units"]
     settings = json.loads(idata.attrs["settings"])
-    doubts = [*settings.get("in_doubt", []), *_too_few(idata), *_uneven(idata)]
+    doubts = doubts_of(idata)
     lines = [f"{line}\n" * (line is doubts[-1]) or line for line in doubts]
     lines += [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     lines += _of_paths(idata)

@@ -6,6 +6,7 @@ T rows, K joints, S sites (in the plane the K tips), P tracked keypoints, d dime
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -41,3 +42,27 @@ class Tracks:
     residual_after: np.ndarray
     residual_after_sd: np.ndarray
     frame_gap: np.ndarray
+
+    def dataset(self, joint_names: tuple[str, ...], sites: tuple[str, ...]) -> xr.Dataset:
+        """The arrays with their dimensions and units, as the group "tracks" of a saved diagnosis' posterior."""
+        of_joint, of_site = ("time", "joint"), ("time", "site", "space")
+        arrays = {
+            "observed": (("time", "keypoint", "space"), self.observed, "m"),
+            "base": (("space",), self.base, "m"),
+            "angle": (of_joint, self.angle, "rad"),
+            **{
+                name: (of_site, getattr(self, name), "m") for name in ("nominal_replay", "corrected_replay", "smoothed")
+            },
+            **{
+                f"residual_{name}": (of_joint, getattr(self, f"residual_{name}"), "N·m")
+                for name in ("before", "before_sd", "after", "after_sd")
+            },
+        }
+        if self.command is not None:
+            arrays["command"] = (of_joint, self.command, "N·m")
+        names = {"joint": list(joint_names), "site": list(sites), "keypoint": list(self.keypoint_names)}
+        return xr.Dataset(
+            {name: (dims, values, {"units": unit}) for name, (dims, values, unit) in arrays.items()},
+            {"time": self.time, **names},
+            {"replay_window": self.replay_window},
+        )

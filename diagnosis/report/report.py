@@ -46,7 +46,7 @@ def render(diagnosis: Diagnosis) -> str:
     script = (TEMPLATES / "replay.js").read_text(encoding="utf-8")
     enough = answer != "not_enough_data"
     moving = replay(diagnosis) if enough else None
-    page = _environment().get_template("report.html.j2")
+    page = environment(TEMPLATES).get_template("report.html.j2")
     return page.render(
         d=diagnosis,
         answer=answer,
@@ -77,14 +77,20 @@ def render(diagnosis: Diagnosis) -> str:
         percent=percent,
         script=Markup(script),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
-        digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        digest=digest(script),
     )
 
 
+def digest(script: str) -> str:
+    """What a content security policy calls a script, base64 of its SHA-256."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
 @cache
-def _environment() -> Environment:
+def environment(folder: Path) -> Environment:
+    """Templates of a folder, which escape all that they are given."""
     return Environment(
-        loader=FileSystemLoader(TEMPLATES),
+        loader=FileSystemLoader(folder),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

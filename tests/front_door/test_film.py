@@ -8,7 +8,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from invdyn.film import FRAMES_PER_SECOND, MAX_SHOWN_FRAMES, film_frames, save_film, shown_frames
+from invdyn.film import (
+    FRAMES_PER_SECOND,
+    MAX_SHOWN_FRAMES,
+    arm_points,
+    film_frames,
+    save_film,
+    shown_frames,
+    still_parts,
+)
 from invdyn.plots import VERMILION
 from invdyn.recordings import InputError
 
@@ -73,10 +81,48 @@ def test_time_line_moves_with_time(make_posterior):
     idata = make_posterior(1, num_frames=31)
     first, last = film_frames(idata, np.array([5, 25]))
     height = first.shape[0]
-    torques = slice(int(0.84 * height), int(0.86 * height))
+    torques = slice(int(0.88 * height), int(0.90 * height))
     dark = [np.flatnonzero((frame[torques] < 60).all(axis=(0, 2))).mean() for frame in (first, last)]
     shift = (dark[1] - dark[0]) / first.shape[1]
     assert shift == pytest.approx(20 / 30, rel=0.15)  # 20 of 30 intervals, of axes almost as wide as the page
+
+
+def test_the_picture_is_cropped_to_where_the_arm_goes(make_posterior):
+    """An arm that stays in a tall and narrow place fills it, whatever its shape."""
+    idata = make_posterior(2, num_frames=30)
+    idata.posterior["position"][..., 0] *= 0.2
+    idata.observed_data["position"][..., 0] *= 0.2
+    arms = arm_points(idata)
+    figure, (axes,), _ = still_parts(idata, arms, idata.observed_data.position.values, None)
+    FigureCanvasAgg(figure).draw()
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    x, y = arms.reshape(-1, 2).T
+    assert top - bottom < 1.4 * np.ptp(y)
+    assert right - left < np.ptp(x) + 0.4 * np.ptp(y)
+    assert left < x.min() < x.max() < right
+    assert bottom < y.min() < y.max() < top
+
+
+def test_over_a_film_the_picture_stays_within_its_own(make_posterior):
+    idata = make_posterior(1, num_frames=20)
+    pixels = arm_points(idata) * [10.0, -10.0] + [12.0, 15.0]  # of pictures 40 × 30 px
+    _, (axes,), _ = still_parts(idata, pixels, idata.observed_data.position.values * 10 + 15, (30, 40))
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert -0.5 <= left < right <= 39.5
+    assert -0.5 <= top < bottom <= 29.5  # v points down
+    assert right - left < 39
+
+
+def test_the_time_stands_above_the_picture(make_posterior):
+    """Not over the film, in which it could not be read."""
+    idata = make_posterior(1, num_frames=31)
+    first, last = film_frames(idata, np.array([5, 25]))
+    figure, (axes,), _ = still_parts(idata, arm_points(idata), idata.observed_data.position.values, None)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    top = first.shape[0] - axes.get_window_extent(canvas.get_renderer()).y1
+    changed = np.abs(first.astype(int) - last).max(-1) > 50
+    assert changed[: int(top) - 1, int(0.8 * first.shape[1]) :].any()
 
 
 @pytest.mark.long

@@ -116,6 +116,79 @@ def test_a_second_tab_is_merged_and_warned(browser, served):
     np.testing.assert_allclose(read_labels(served.shared.path).points[1], [[10, 12], [30, 5]], atol=0.2)
 
 
+def test_zoom_sets_finer_points_where_the_pointer_is(browser, served):
+    """The pixel under the pointer stays under it, a click hits it, and the whole picture comes back."""
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    wait = WebDriverWait(browser, 60)
+    browser.get(served.address)
+    wait.until(lambda _: browser.find_element("id", "where").text == "Picture 1 of 2 (number 4)")
+    canvas = browser.find_element("id", "picture")
+    box = "const b = arguments[0].getBoundingClientRect(); return [b.x, b.y, b.width, b.height]"
+    x, y, width, height = browser.execute_script(box, canvas)
+    spot = round(x + 0.8 * width), round(y + 0.7 * height)
+    point = [(spot[0] - x) / width * 40 - 0.5, (spot[1] - y) / height * 40 - 0.5]
+    turn = """const [canvas, clientX, clientY] = arguments, how = {bubbles: true, cancelable: true};
+        canvas.dispatchEvent(new WheelEvent('wheel', {deltaY: -800, clientX, clientY, ...how}))"""
+    browser.execute_script(turn, canvas, *spot)
+    left, top, larger, _ = browser.execute_script(box, canvas)
+    assert larger == pytest.approx(np.exp(2) * width, rel=1e-3)
+    below = [(spot[0] - left) / larger * 40 - 0.5, (spot[1] - top) / larger * 40 - 0.5]
+    np.testing.assert_allclose(below, point, atol=0.05)
+    click = ActionChains(browser, duration=0).w3c_actions
+    click.pointer_action.move_to_location(*spot).click()
+    click.perform()
+    wait.until(lambda _: browser.find_element("id", "said").text == "1 of 2 pictures labelled, written")
+    np.testing.assert_allclose(read_labels(served.shared.path).points[1, 0], point, atol=0.05)
+    pan = ActionChains(browser, duration=0).key_down("\ue008").w3c_actions
+    pan.pointer_action.move_to_location(*spot).pointer_down().move_to_location(spot[0] - 60, spot[1] - 40).pointer_up()
+    pan.perform()
+    ActionChains(browser).key_up("\ue008").perform()
+    moved = browser.execute_script(box, canvas)
+    np.testing.assert_allclose([moved[0], moved[1]], [left - 60, top - 40], atol=2)
+    assert not np.isfinite(read_labels(served.shared.path).points[1, 1]).any(), "a move of the picture set a joint"
+    ActionChains(browser).send_keys("0").perform()
+    np.testing.assert_allclose(browser.execute_script(box, canvas), [x, y, width, height], atol=0.5)
+
+
+def test_done_in_one_tab_waits_for_the_other(browser, served):
+    """Labels of the second tab are written after the first one is done; the end comes when it is closed."""
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    wait = WebDriverWait(browser, 60)
+    browser.get(served.address)
+    first = browser.current_window_handle
+    wait.until(lambda _: browser.find_element("id", "where").text == "Picture 1 of 2 (number 4)")
+    browser.switch_to.new_window("tab")
+    browser.get(served.address)
+    wait.until(lambda _: browser.find_element("id", "where").text == "Picture 1 of 2 (number 4)")
+    second = browser.current_window_handle
+    browser.switch_to.window(first)
+    browser.find_element("id", "done").click()
+    wait.until(lambda _: "Another page still labels" in browser.find_element("id", "said").text)
+    assert served.pages == {2}
+    assert not served.over
+    browser.switch_to.window(second)
+    browser.execute_script("joint = 0; set([7, 8])")
+    wait.until(lambda _: browser.find_element("id", "said").text == "1 of 2 pictures labelled, written")
+    assert read_labels(served.shared.path).points[1, 0].tolist() == [7, 8]
+    browser.close()
+    browser.switch_to.window(first)
+    wait.until(lambda _: served.over)
+    assert served.pages == set()
+
+
+def test_who_says_done_twice_is_believed(served):
+    """A page that crashed never says that it was closed."""
+    pages = [served.state()["page"] for _ in range(2)]
+    say = f"{served.address}done"
+    assert json.loads(request(say, b"%d" % pages[0])[1]) == {"open": 1}
+    assert request(f"{served.address}state")[0] == 200
+    assert json.loads(request(say, b"%d" % pages[0])[1]) == {"open": 0}
+    assert served.over
+
+
 def request(address, content=None, **headers):
     try:
         with urllib.request.urlopen(urllib.request.Request(address, content, headers)) as answer:

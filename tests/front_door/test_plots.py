@@ -4,6 +4,7 @@ import arviz as az
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from invdyn.plots import plot_posterior, quantiles, save_figure
@@ -23,7 +24,7 @@ def texts(figure):
 def test_every_joint_has_its_panels_with_units(make_posterior, num_joints):
     idata = make_posterior(num_joints)
     figure = plot_posterior(idata)
-    assert len(figure.axes) == 3 * num_joints + 1
+    assert len(figure.axes) == 3 * num_joints
     for joint, tip in zip(idata.posterior.joint.values, idata.posterior.keypoint.values, strict=True):
         assert panel(figure, f"{tip} keypoint").get_ylabel() == "m"
         assert panel(figure, f"{joint} angle").get_ylabel() == "rad"
@@ -120,27 +121,68 @@ def test_encoders_alone_are_enough(make_posterior):
     np.testing.assert_array_equal(dots.get_ydata(), idata.observed_data.angle.values[:, 1])
 
 
-def test_sample_sizes_with_a_mark_wherever_filters_resampled(make_posterior):
+def test_rows_with_few_particles_are_marked_below_the_torques(make_posterior):
+    """The median filter decides, and where each has enough nothing is said."""
     idata = make_posterior(2)
-    axes = panel(plot_posterior(idata), "effective sample size of the filters")
-    median = np.median(idata.sample_stats.ess.values, axis=0)
-    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), median)
-    share = idata.sample_stats.resampled.values.mean(axis=0)
-    resampled = share > 0
-    marks = axes.collections[-1].get_segments()
-    opacity = axes.collections[-1].get_colors()[:, 3]
-    assert np.corrcoef(opacity, share[resampled])[0, 1] > 0.99
-    np.testing.assert_allclose([mark[0, 0] for mark in marks], idata.posterior.time.values[resampled])
-    assert "outer sample size" in axes.get_title(loc="right")
-
-
-def test_filters_that_never_resampled_have_no_marks(make_posterior, tmp_path):
-    idata = make_posterior(1)
-    idata.sample_stats["resampled"][:] = False
+    assert not any("few particles" in text for text in texts(plot_posterior(idata)))
+    spans = len(panel(plot_posterior(idata), "elbow torque").patches)
+    idata.sample_stats.ess[:, 20:25] = 4.0
+    idata.sample_stats.ess[0, 40:45] = 4.0  # one filter of five
     figure = plot_posterior(idata)
-    save_figure(figure, tmp_path / "figure.png")
-    assert "filters resampled" not in texts(figure)
-    assert "filters resampled" in texts(plot_posterior(make_posterior(1)))
+    assert "few particles (least: 4.0)" in texts(figure)
+    (mark,) = panel(figure, "elbow torque").patches[spans:]
+    time = idata.posterior.time.values
+    assert [mark.get_x(), mark.get_x() + mark.get_width()] == pytest.approx([time[19:21].mean(), time[24:26].mean()])
+    assert mark.get_height() < 0.05  # a thin strip at the axis
+    assert len(panel(figure, "elbow angle").patches) == 0
+
+
+def test_what_few_draws_there_are_is_said_in_one_line(make_posterior):
+    figure = plot_posterior(make_posterior(2))
+    assert "outer sample size" in figure.get_supxlabel()
+    idata = make_posterior(2)
+    del idata.sample_stats["ess"], idata.sample_stats["resampled"]  # a method without particles
+    assert not any("few particles" in text for text in texts(plot_posterior(idata)))
+
+
+def test_a_spike_does_not_flatten_its_panel(make_posterior):
+    """Nine tenths of the panel stay for what it had without the spike, and a triangle says where that is."""
+    idata = make_posterior(2, 200)
+    usual = panel(plot_posterior(idata), "elbow torque").get_ylim()
+    idata.posterior.torque[:, :, 100, 1] += 1000.0
+    axes = panel(plot_posterior(idata), "elbow torque")
+    low, high = axes.get_ylim()
+    assert low == pytest.approx(usual[0], abs=0.3 * np.diff(usual)[0])
+    assert high - low < 1.8 * np.diff(usual)[0]
+    (mark,) = [line for line in axes.get_lines() if line.get_marker() == "^"]
+    np.testing.assert_allclose(mark.get_xdata(), idata.posterior.time.values[[100]])
+
+
+def test_an_outlier_of_the_tracker_is_shown_at_the_edge(make_posterior):
+    idata = make_posterior(2)
+    idata.observed_data["position"][30, 0, 1] = -50.0
+    axes = panel(plot_posterior(idata), "elbow keypoint")
+    assert axes.get_ylim()[0] > -5
+    (mark,) = [line for line in axes.get_lines() if line.get_marker() == "v"]
+    np.testing.assert_allclose(mark.get_xdata(), idata.posterior.time.values[[30]])
+
+
+def test_nothing_that_is_usual_is_cut_off(make_posterior):
+    for axes in plot_posterior(make_posterior(2)).axes:
+        low, high = axes.get_ylim()
+        for line in axes.get_lines():
+            assert np.nanmin(line.get_ydata()) > low
+            assert np.nanmax(line.get_ydata()) < high
+
+
+def test_dots_are_drawn_over_the_median_and_darker(make_posterior):
+    axes = panel(plot_posterior(make_posterior(2)), "elbow keypoint")
+    lines = axes.get_lines()
+    dots = [line for line in lines if line.get_marker() == "."]
+    medians = [line for line in lines if line.get_marker() != "."]
+    assert min(line.get_zorder() for line in dots) > max(line.get_zorder() for line in medians)
+    for dot, median in zip(dots, medians, strict=True):
+        np.testing.assert_array_less(to_rgb(dot.get_color()), np.array(to_rgb(median.get_color())) + 1e-9)
 
 
 @pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])

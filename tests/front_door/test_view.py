@@ -1,0 +1,282 @@
+"""The page of a result, in a real browser: curves, body and table show the same row, by pointer and by keyboard."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browsing import chromium, opened, requests
+from pendulum import diagnosed
+from reported import HOSTILE, Page, diagnosis
+
+from invdyn.diagnosis import save
+from invdyn.inference import save_posterior
+from invdyn.plots import quantiles
+from invdyn.recordings import InputError
+from invdyn.view import MAX_ROWS, of_posterior, view_of, write_view
+
+WIDTHS = (1280, 390)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """A headless Chromium for this file."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as window:
+        yield window
+
+
+@pytest.fixture
+def found(tmp_path, make_posterior):
+    """The folder of a diagnosis."""
+    (folder := tmp_path / "found").mkdir()
+    save(replace(diagnosis(), posterior=make_posterior(2)), folder)
+    return folder
+
+
+def in_space(idata):
+    """The same posterior with a third coordinate."""
+    for name in idata.groups():
+        if "space" in idata[name].dims:
+            idata[name] = idata[name].pad(space=(0, 1), constant_values=0.1)
+            idata[name]["space"] = ["x", "y", "z"]
+    return idata
+
+
+def page_of(idata, folder):
+    save_posterior(idata, folder / "posterior.nc")
+    write_view(folder / "posterior.nc", folder / "page.html")
+    return folder / "page.html"
+
+
+def data_of(page):
+    return json.loads(Page(page.read_text(encoding="utf-8")).scripts["view-data"])
+
+
+def value(text):
+    """Numbers of a cell such as −1.2 [−1.4, −0.9] N·m."""
+    return [float(each.replace("−", "-")) for each in re.findall(r"−?\d+\.?\d*", text)[:3]]
+
+
+def go(browser, row):
+    set_to = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
+    browser.execute_script(set_to, browser.find_element("id", "slider"), row)
+
+
+def row(browser):
+    return int(browser.find_element("id", "slider").get_property("value"))
+
+
+def cells(browser):
+    return [[cell.text for cell in line.find_elements("tag name", "td")] for line in
+            browser.find_elements("css selector", "#now tbody tr")]  # fmt: skip
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_numbers_at_a_time_are_the_posteriors(browser, make_posterior, tmp_path, width):
+    idata = make_posterior(2, 80)
+    opened(browser, page := page_of(idata, tmp_path), width)
+    assert browser.execute_script("return innerWidth") == width
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert requests(browser, page) == {page.as_uri()}
+    go(browser, 33)
+    assert browser.find_element("id", "now-time").text == f"{idata.posterior.time.values[33]:.2f} s"
+    for column, group in enumerate(("angle", "torque")):
+        for joint in range(2):
+            low, _, median, _, high = quantiles(idata, group)[:, 33, joint]
+            told = value(cells(browser)[joint][column])
+            np.testing.assert_allclose(told, [median, low, high], atol=0.06 * (high - low))
+    assert browser.get_log("browser") == []
+
+
+def test_all_move_together(browser, make_posterior, tmp_path):
+    """Keys, a drag in a curve and the time that passes: each moves the body, the curves' marks and the table."""
+    from selenium.webdriver import ActionChains, Keys
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    idata = make_posterior(2, 80)
+    opened(browser, page_of(idata, tmp_path), 1280)
+    picture = "return document.getElementById('picture').toDataURL()"
+    marks = "return [...document.querySelectorAll('.now')].map(mark => parseFloat(mark.style.left))"
+
+    def state():
+        return row(browser), browser.execute_script(picture), browser.execute_script(marks), cells(browser)
+
+    def press(*keys):
+        ActionChains(browser).send_keys(*keys).perform()
+
+    at_start = state()
+    assert at_start[0] == 0
+    press(Keys.ARROW_RIGHT)
+    assert row(browser) == 1
+    ActionChains(browser).key_down(Keys.SHIFT).send_keys(Keys.ARROW_RIGHT).key_up(Keys.SHIFT).perform()
+    assert row(browser) == 11
+    after = state()
+    assert all(one != other for one, other in zip(at_start, after, strict=True))
+    assert len(set(after[2])) == 1, "each curve has its mark at the same time"
+    press(Keys.END)
+    assert row(browser) == 79
+    press(Keys.HOME)
+    assert state() == at_start
+    over = browser.find_elements("css selector", "#chart-2 .u-over")[0]
+    middle, quarter = 0, -over.size["width"] // 4
+    drag = ActionChains(browser, duration=0).move_to_element_with_offset(over, middle, 0).click_and_hold()
+    drag.move_to_element_with_offset(over, quarter, 0).release().perform()
+    assert abs(row(browser) - 79 / 4) < 1.5
+    shown = row(browser)
+    press(" ")
+    WebDriverWait(browser, 20).until(lambda _: row(browser) > shown + 3)
+    assert browser.find_element("id", "play").text == "Pause"
+    press(" ")
+    assert browser.find_element("id", "play").text == "Play"
+    assert browser.get_log("browser") == []
+
+
+def test_one_who_cannot_see_it_can_use_it(browser, make_posterior, tmp_path):
+    """Every control has a name, the keys reach all of them in order, and pictures say in words what they show."""
+    from selenium.webdriver import ActionChains, Keys
+
+    idata = in_space(make_posterior(2, 80))
+    opened(browser, page_of(idata, tmp_path), 1280)
+    tree = browser.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    kinds = {"button", "slider", "combobox", "image", "region", "table"}
+    named = [(node["role"]["value"], node.get("name", {}).get("value", "")) for node in tree if not node.get("ignored")]
+    names = [name for kind, name in named if kind in kinds]
+    assert len(names) > 10
+    assert all(names)
+    assert {"Play", "Time", "Front", "Side", "Above"} <= {name for _, name in named}
+    assert [name for kind, name in named if kind == "image" and name.startswith("torque of")]
+    focused = []
+    for _ in range(8):
+        ActionChains(browser).send_keys(Keys.TAB).perform()
+        focused.append(browser.execute_script("return document.activeElement.id || document.activeElement.textContent"))
+    assert focused == ["play", "slider", "speed", "Front", "Side", "Above", "Table of the curves", "Summary of the run"]
+    browser.find_element("id", "slider").send_keys(Keys.ARROW_RIGHT)
+    assert row(browser) == 1, "the slider's own step, once"
+    assert browser.find_element("id", "slider").get_attribute("aria-valuetext") == "0.03 s"
+    words = browser.find_element("id", "picture").get_attribute("aria-label")
+    x, y, z = idata.posterior.position.mean(("chain", "draw")).values[1, -1]
+    told = re.search(r"wrist at (\S+), (\S+), (\S+)", words).groups()
+    np.testing.assert_allclose([float(each.replace("−", "-")) for each in told], [x, y, z], atol=0.01)
+
+
+def test_the_table_has_the_curves(browser, make_posterior, tmp_path):
+    idata = make_posterior(2, 150)
+    opened(browser, page_of(idata, tmp_path), 1280)
+    browser.find_element("css selector", "#all summary").click()
+    lines = browser.find_elements("css selector", "#all tbody tr")
+    assert len(lines) == 75
+    heads = [head.text for head in browser.find_elements("css selector", "#all thead th")]
+    assert heads[:3] == ["time, s", "shoulder angle, rad", "elbow angle, rad"]
+    low, _, median, _, high = quantiles(idata, "torque")[:, 20, 1]
+    last = lines[10].find_elements("tag name", "td")[-1].text
+    np.testing.assert_allclose(value(last), [median, low, high], atol=0.06 * (high - low))
+
+
+def test_a_body_in_space_turns(browser, make_posterior, tmp_path):
+    opened(browser, page_of(in_space(make_posterior(2, 30)), tmp_path), 1280)
+    seen = set()
+    for button in browser.find_elements("css selector", ".seen-from"):
+        button.click()
+        seen.add(browser.execute_script("return document.getElementById('picture').toDataURL()"))
+    assert len(seen) == 3
+    assert browser.get_log("browser") == []
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_diagnosis_before_and_after(browser, found, tmp_path, width):
+    write_view(found, tmp_path / "page.html")
+    opened(browser, tmp_path / "page.html", width)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert "viscous friction" in browser.find_element("tag name", "h1").text
+    legend = [each.text for each in browser.find_elements("css selector", ".body .legend li")]
+    assert legend == ["simulation as it is", "corrected", "keypoints as seen"]
+    tracks, data = diagnosis().tracks, data_of(tmp_path / "page.html")
+    before, after = data["panels"][0]["sides"]
+    np.testing.assert_allclose(np.array(before["middle"], float), tracks.residual_before[:, 0], atol=1e-3)
+    np.testing.assert_allclose(after["middle"], tracks.residual_after[:, 0], atol=1e-3)
+    high = (tracks.residual_after + 1.645 * tracks.residual_after_sd)[:, 0]
+    np.testing.assert_allclose(after["high"], high, atol=1e-3)
+    for arm, replay in zip(data["arms"], (tracks.nominal_replay, tracks.corrected_replay), strict=True):
+        np.testing.assert_allclose(np.array(arm["points"])[:, 1:], replay, atol=1e-3)
+    assert browser.get_log("browser") == []
+
+
+def test_the_folder_and_both_files_of_a_diagnosis_are_the_same_page(found):
+    pages = {view_of(found / name).html() for name in ("", "diagnosis.json", "posterior.nc")}
+    assert len(pages) == 1
+
+
+def test_a_diagnosis_that_corrected_nothing_shows_one_simulation(found, make_posterior):
+    nothing = diagnosis()
+    same = replace(nothing.tracks, corrected_replay=nothing.tracks.nominal_replay)
+    save(replace(nothing, tracks=same, posterior=make_posterior(2)), found)
+    view = view_of(found)
+    assert list(view.arms) == [("simulation as it is", "before")]
+    assert [side["style"] for side in view.panels[0]["sides"]] == ["before"]
+
+
+@pytest.mark.long
+def test_a_real_diagnosis(browser, tmp_path):
+    save(diagnosed(), tmp_path)
+    write_view(tmp_path, tmp_path / "page.html")
+    opened(browser, tmp_path / "page.html", 390)
+    assert "viscous friction" in browser.find_element("tag name", "h1").text
+    assert len(browser.find_elements("css selector", ".chart canvas")) == 2
+    assert browser.get_log("browser") == []
+
+
+def test_doubts_stand_first(make_posterior):
+    idata = make_posterior(2, num_filters=64)
+    idata.attrs["outer_ess"] = 3.0
+    html = of_posterior(idata, "posterior.nc").html()
+    assert html.index("3 of 64 filters carry the weight") < html.index("<main>")
+    idata.attrs["outer_ess"] = 60.0
+    assert "In doubt" not in of_posterior(idata, "posterior.nc").html()
+
+
+def test_hostile_names_run_nothing(browser, make_posterior, tmp_path):
+    idata = make_posterior(2, 30)
+    idata.posterior["joint"] = list(HOSTILE[:2])
+    for group in ("posterior", "posterior_predictive", "observed_data"):
+        idata[group]["keypoint"] = list(HOSTILE[1:])
+    (tmp_path / "page.html").write_text(of_posterior(idata, HOSTILE[0]).html(), encoding="utf-8")
+    opened(browser, tmp_path / "page.html")
+    go(browser, 3)
+    assert browser.execute_script("return [typeof window.hacked, document.images.length]") == ["undefined", 0]
+    assert browser.get_log("browser") == []
+
+
+def test_a_long_recording_fits(make_posterior):
+    """Six joints and an hour at 2 frames a second: thinned, and far below 15 MB."""
+    idata = make_posterior(6, 7200, num_filters=2, num_draws=2)
+    view = of_posterior(idata, "posterior.nc")
+    assert MAX_ROWS / 2 < len(view.time) <= MAX_ROWS
+    assert "of 7200 rows" in view.foot
+    assert len(view.html().encode()) < 5e6
+
+
+def test_missing_stays_missing_and_numbers_are_as_fine_as_needed(make_posterior, tmp_path):
+    idata = make_posterior(2, 60)
+    data = data_of(page_of(idata, tmp_path))
+    seen = np.array(data["observed"], float)
+    wanted = idata.observed_data.position.values
+    np.testing.assert_array_equal(np.isnan(seen), np.isnan(wanted))
+    np.testing.assert_allclose(seen, wanted, atol=1e-3)
+    middle = np.array(data["panels"][0]["sides"][0]["middle"])
+    np.testing.assert_allclose(middle, quantiles(idata, "angle")[2, :, 0], atol=1e-3 * np.ptp(middle))
+
+
+def test_what_is_no_result_is_refused(tmp_path, found, run):
+    (tmp_path / "other").mkdir()
+    with pytest.raises(InputError, match=r"expected a posterior, \.nc, or the folder of a diagnosis"):
+        view_of(tmp_path / "other")
+    (tmp_path / "other" / "diagnosis.json").write_text("{}")
+    with pytest.raises(InputError, match=r"left no posterior\.nc"):
+        view_of(tmp_path / "other")
+    said = run("view", found, "--out", tmp_path / "page.pdf")
+    assert said.exit_code == 2
+    assert "page" in said.stderr
+    done = run("view", found, "--out", tmp_path / "page.html")
+    assert done.exit_code == 0, done.output
+    assert done.stdout == f"page       {tmp_path / 'page.html'}\n"
