@@ -1,11 +1,14 @@
 """The camera, in numpy: when it looked, where the markers sat, what the lens made of them, what the tracker missed.
 
+And encoders: angles, from where each counts.
+
 A frame stamped t shows, through the effects that are present and in this order,
 
     when     t' = t − δ (latency) + ρ y (rolling shutter, y the row's height) + jitter: a share of the frames
              (rate) is mistimed, with a standard deviation of sd over all frames
     marker   p' = p + R(φ) (along, across)                  φ the link's absolute angle
-             p' = p − κ a                                   soft tissue, a the keypoint's acceleration; or as it swings
+             p' = p − κ a                                   soft tissue, a the keypoint's acceleration; or as it
+             p' = p + δ,  δ̈ + 2ζω δ̇ + ω² δ = −a            swings, ω = 1/√κ
     optics   (x, y) → (x cos ψ, y) D / (D + x sin ψ)        yaw, from the distance D
              p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin, yaw and lens also about
                                                             any centre
@@ -19,8 +22,8 @@ Shapes: T frames, P = K + 1 points, the base and the K tips.
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from invdyn.blindcheck.nonideal_mechanisms import swung
 from invdyn.blindcheck.simulator import Trajectory
 
 Effect = tuple[str, int | None, Mapping[str, float]]
@@ -94,6 +97,14 @@ def marker(trajectory: Trajectory, point: int, present: Mapping) -> np.ndarray:
     return track
 
 
+def swung(time: np.ndarray, acceleration: np.ndarray, kappa: float, damping_ratio: float) -> np.ndarray:
+    """δ (N+1, 2), m, of tissue on a point of so much acceleration (N+1, 2), m/s², on an even grid; steady at first."""
+    swing = [-kappa], [kappa, 2 * damping_ratio * kappa**0.5, 1.0]
+    above, below, _ = cont2discrete(swing, time[1] - time[0], "foh")
+    state = np.outer(lfilter_zi(above[0], below), acceleration[0])
+    return lfilter(above[0], below, acceleration, axis=0, zi=state)[0]
+
+
 def acceleration(time: np.ndarray, track: np.ndarray) -> np.ndarray:
     """Second derivative (N+1, 2), m/s², by central differences."""
     return np.gradient(np.gradient(track, time, axis=0), time, axis=0)
@@ -131,3 +142,12 @@ def _at(time: np.ndarray, tracks: np.ndarray, when: np.ndarray) -> np.ndarray:
     part = (place - low)[..., None]
     point = np.arange(tracks.shape[1])
     return (1 - part) * tracks[low, point] + part * tracks[low + 1, point]
+
+
+def readings(trajectory: Trajectory, when: np.ndarray, effects: Sequence[Effect]) -> np.ndarray:
+    """Angles (T, K), rad, without noise, at times `when` (T,) s."""
+    angles = np.stack([np.interp(when, trajectory.time, column) for column in trajectory.q.T], axis=-1)
+    for name, joint, parameters in effects:
+        if name == "encoder_offset":
+            angles[:, joint] += parameters["offset"]
+    return angles

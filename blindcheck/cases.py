@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.blindcheck.camera import readings
 from invdyn.blindcheck.effects import OBSERVATIONS
-from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, shown_by_sensors, world_with

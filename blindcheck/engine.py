@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck import camera
+from invdyn.blindcheck import effects as injected
 from invdyn.blindcheck.effects import EFFECTS, MECHANISMS, Injected
-from invdyn.blindcheck.in_space import effects as in_space
-from invdyn.blindcheck.in_space.bodies import SPACE
-from invdyn.blindcheck.in_space.world import World as WorldInSpace
 from invdyn.blindcheck.pinocchio import camera as second_camera
 from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
@@ -23,6 +21,7 @@ from invdyn.blindcheck.pinocchio.unlisted import UNLISTED as OTHER_UNLISTED
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.setting import PLANE, Setting
 from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.trees import SPACE
 from invdyn.blindcheck.unlisted_effects import UNLISTED
 
 
@@ -66,10 +65,6 @@ def _usual(rng: np.random.Generator, name: str, s: Scene, place: int, strength: 
     return EFFECTS[name].size(rng, s, place, strength)
 
 
-def _sized_in_space(rng: np.random.Generator, name: str, s: Scene, place: int, strength: float) -> dict:
-    return in_space.EFFECTS[name].size(rng, s, place, strength)
-
-
 MUJOCO = Engine(
     "mujoco",
     "mujoco",
@@ -87,11 +82,9 @@ IN_SPACE = replace(
     MUJOCO,
     name="mujoco-in-space",
     setting=SPACE,
-    effects=in_space.EFFECTS,
-    world=WorldInSpace,
-    draw=_sized_in_space,
-    mechanisms={name: effect.install for name, effect in in_space.EFFECTS.items() if effect.install is not None},
-    unlisted=in_space.UNLISTED,
+    effects=injected.IN_SPACE,
+    # a weight on a hinge of its own would count among the tree's
+    unlisted={name: each for name, each in UNLISTED.items() if name != "sloshing_payload"},
 )
 PINOCCHIO = Engine(
     "pinocchio",

@@ -1,36 +1,41 @@
-"""Reality as MuJoCo simulates it: a planar chain of hinges, commanded torques, and the installed mechanisms.
+"""Reality as MuJoCo simulates it: a tree of hinges, commanded torques or servos, and the installed mechanisms.
 
 Todorov, Erez & Tassa, "MuJoCo: a physics engine for model-based control", IROS 2012. Recursive dynamics, its
 Runge–Kutta integrator of order 4 with steps of at most half a millisecond, and constraints for dry friction and
-stops. The chain is a list of segments, each behind one hinge about z; a link is one segment, unless a mechanism
-splits it (a hidden hinge) or puts a rotor before it (backlash).
+stops. The tree is a list of pieces, each behind one hinge; a link is one piece, unless a mechanism splits it (a
+hidden hinge) or puts a rotor before it (backlash). A planar chain is a tree whose hinges turn about z.
 
-A mechanism changes a `World` before it runs: its `segments`, its `gravity`, the MuJoCo specification (`on_spec`),
+A mechanism changes a `World` before it runs: its `pieces`, its `gravity`, the MuJoCo specification (`on_spec`),
 the command on its way to the motors (`on_command`), or a force at every step (`on_step`).
 
-Shapes: K joints, S ≥ K segments, N steps, C command rows. SI units, radians; the joint angles are those of
-`invdyn.models.Body`.
+A position servo's command is the torque that its target asks for by itself, S θ_d; MuJoCo's actuator adds
+−S θ − D θ̇. Shapes: K joints, S ≥ K pieces, N steps, C command rows, d dimensions. SI units, radians; the joint
+angles are those of `invdyn.models.Body`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from invdyn.models import Body, Link
+from invdyn.blindcheck.pieces import Piece, pieces_of, sites_at
+from invdyn.models import Body
+from invdyn.models.bodies.inertia import six
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
 
 MAX_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
+MAX_REPLAY_STEP = 2e-3
+"""s, longest step of a replay in space, for d′, in which nothing jumps: no site moves by a hundredth of the noise."""
 MAX_JOINT_SPEED = 300.0  # rad/s; beyond it the run has diverged
 
 
 class Trajectory(NamedTuple):
     """What really happened, at the simulator's own rate.
 
-    `time` (N+1,) s; `q`, `qd` (N+1, K); `points` (N+1, K+1, 2) m, the base and the K tips; `heading` (N+1, K) rad,
-    the absolute angle of the link that ends in each tip; `command_time` (C,) s and `command` (C, K) N·m, as given to
-    the actuators.
+    `time` (N+1,) s; `q`, `qd` (N+1, K); `points` (N+1, P+1, d) m, the base and the sites, of a chain its K tips;
+    `heading` (N+1, P) rad, angles of hinges added up as far as the link that has each site; `command_time` (C,) s and
+    `command` (C, K) N·m, as given to the actuators.
     """
 
     time: np.ndarray
@@ -40,20 +45,6 @@ class Trajectory(NamedTuple):
     heading: np.ndarray
     command_time: np.ndarray
     command: np.ndarray
-
-
-@dataclass
-class Segment:
-    """One rigid piece behind a hinge: `joint` whose angle the hinge adds to (None: hidden), `tip` at its end."""
-
-    hinge: str
-    length: float
-    mass: float
-    com: float
-    inertia: float
-    joint: int | None
-    tip: int | None
-    actuated: bool = True
 
 
 Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
@@ -69,23 +60,24 @@ def even_steps(command_time: np.ndarray, longest: float) -> tuple[int, float, np
 
 
 class World:
-    """A body in MuJoCo, open to mechanisms until its first run.
+    """A body in MuJoCo, open to mechanisms until its first run. `links` are the pieces that have the links' sites.
 
-    Raises ImportError, with what to install, when MuJoCo is missing.
+    Raises ImportError, with what to install, when MuJoCo is missing; ValueError for joints that are no hinges, and for
+    links in another order than branch by branch, in which MuJoCo counts joints.
     """
 
     def __init__(self, body: Body):
-        self._start(body.num_joints, np.array(body.base), np.array([*body.gravity, 0.0]))
-        self.segments = [
-            Segment(f"joint{k}", length, mass, com, inertia, k, k)
-            for k, (length, mass, com, inertia) in enumerate(map(_numbers, body.links))
-        ]
-
-    def _start(self, num_joints: int, base: np.ndarray, gravity: np.ndarray) -> None:
-        """Begin without segments and mechanisms."""
         self.mujoco = _mujoco()
-        self.num_joints, self.base, self.gravity = num_joints, base, gravity
-        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
+        if any(link.joint.type != "hinge" for link in body.links):
+            raise ValueError(f"expected hinges alone, got {', '.join(link.joint.type for link in body.links)}")
+        hand = body.hand
+        assert hand is not None  # every link has a site, and all hang on the first
+        self.dimensions, self.num_joints, self.hand = body.dimensions, body.num_joints, hand
+        self.keypoint_names = body.keypoint_names
+        self.base, self.gravity = np.array(body.base), np.array(body.in_space().gravity)
+        self.pieces = pieces_of(body)
+        self.links = tuple(self.pieces)
+        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, d)
         self._spec_hooks: list[Callable] = []
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
@@ -105,12 +97,17 @@ class World:
 
     @property
     def possible(self) -> bool:
-        """Whether every segment has a mass, and none a negative inertia: a large error of a link may take all of it."""
-        return all(segment.mass > 0 and segment.inertia >= 0 for segment in self.segments)
+        """Whether every piece has a mass, and moments that obey the triangle inequality.
+
+        A large error of a link may take all of it.
+        """
+        moments = [np.linalg.eigvalsh(piece.inertia) for piece in self.pieces]
+        solid = all(m[0] >= 0 and m[2] <= (m[0] + m[1]) * (1 + 1e-9) for m in moments)
+        return solid and all(piece.mass > 0 for piece in self.pieces)
 
     def hinge(self, joint: int) -> int:
         """Index in qpos and qvel of the hinge that a joint's motor drives."""
-        return next(s for s, segment in enumerate(self.segments) if segment.joint == joint and segment.actuated)
+        return next(s for s, piece in enumerate(self.pieces) if piece.joint == joint and piece.actuated)
 
     def compile(self) -> None:
         """Build the MuJoCo model; later changes by mechanisms do nothing."""
@@ -127,30 +124,33 @@ class World:
             change(spec)
         self.model = spec.compile()
         self.data = mj.MjData(self.model)
+        if [self.model.joint(j).name for j in range(self.model.njnt)] != [piece.hinge for piece in self.pieces]:
+            raise ValueError("expected links branch by branch: MuJoCo has their joints in another order")
         self._rollout = mj.rollout.Rollout(nthread=0)
 
     def _build(self, spec: Any) -> None:
-        """Put the segments into a specification."""
-        parent, offset = spec.worldbody, [*self.base, 0.0]
-        for segment in self.segments:
-            parent = parent.add_body(name=segment.hinge, pos=offset)
-            parent.mass, parent.ipos, parent.explicitinertial = segment.mass, [segment.com, 0.0, 0.0], True
-            # about x and y nothing rotates; three equal moments satisfy the triangle inequality
-            parent.inertia = [max(segment.inertia, 1e-14)] * 3
-            self._hinge(spec, parent, segment.hinge, [0.0, 0.0, 1.0], segment.actuated)
-            offset = [segment.length, 0.0, 0.0]
-
-    def _hinge(self, spec: Any, parent: Any, name: str, axis: Sequence[float], actuated: bool) -> None:
-        """Put a hinge between a body and what carries it, and a motor of the same name, if it has one."""
-        mj = self.mujoco
-        joint = parent.add_joint(name=name, type=mj.mjtJoint.mjJNT_HINGE, axis=axis)
-        # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
-        # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
-        joint.solref_friction, joint.solimp_friction = [2 * MAX_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
-        joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
-        if actuated:
-            motor = spec.add_actuator(name=name, target=name)
+        """Put the pieces into a specification: each a body, its hinge, and a motor of the same name, if it has one."""
+        mj, bodies = self.mujoco, dict[Piece | None, Any]({None: spec.worldbody})
+        for piece in self.pieces:
+            x, y, z, w = Rotation.from_matrix(piece.turn).as_quat()
+            body = bodies[piece] = bodies[piece.parent].add_body(
+                name=piece.hinge, pos=piece.position, quat=[w, x, y, z], mass=piece.mass, ipos=piece.com
+            )
+            body.fullinertia = six(piece.inertia if piece.inertia.any() else 1e-14 * np.eye(3))
+            body.explicitinertial = True
+            joint = body.add_joint(name=piece.hinge, type=mj.mjtJoint.mjJNT_HINGE, axis=piece.axis)
+            set_part(joint, {"damping": piece.damping})
+            # Dry friction and stops as hard as the step allows: the default ones creep by per cents. Friction is a
+            # viscous one below a speed of level / inertia · time constant / 2, where no other torque acts.
+            joint.solref_friction, joint.solimp_friction = [2 * MAX_STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+            joint.solref_limit, joint.solimp_limit = [1e-3, 1.0], [0.99, 0.999, 1e-4, 0.5, 2.0]
+            if not piece.actuated:
+                continue
+            motor = spec.add_actuator(name=piece.hinge, target=piece.hinge)
             motor.trntype = mj.mjtTrn.mjTRN_JOINT
+            if piece.servo is not None:
+                motor.biastype = mj.mjtBias.mjBIAS_AFFINE
+                motor.biasprm[1:3] = [-piece.servo[0], -piece.servo[1]]
 
     def run(
         self,
@@ -173,10 +173,10 @@ class World:
         model.opt.timestep, total = step, len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / step))
         self.mujoco.mj_resetData(model, data)
-        joint_of = np.array([[s.joint == k for s in self.segments] for k in range(self.num_joints)], dtype=float)
-        driven = [s for s, segment in enumerate(self.segments) if segment.actuated]
+        joint_of = np.array([[p.joint == k for p in self.pieces] for k in range(self.num_joints)], dtype=float)
+        driven = [s for s, piece in enumerate(self.pieces) if piece.actuated]
         data.qpos[driven], data.qvel[driven] = q, qd
-        qpos, qvel = np.empty((total + 1, len(self.segments))), np.empty((total + 1, len(self.segments)))
+        qpos, qvel = np.empty((total + 1, len(self.pieces))), np.empty((total + 1, len(self.pieces)))
         rows = np.empty((len(command_time), self.num_joints))
         stops = sorted({*range(0, total + 1, per_row), *range(0, total + 1, window)})
         for i, end in zip(stops, [*stops[1:], total], strict=True):
@@ -199,7 +199,8 @@ class World:
 
     def _longest_step(self, replayed: bool) -> float:
         """Of a run, s; ``replayed`` says that it is taken back to another one's path again and again."""
-        return MAX_STEP
+        smooth = not self._step_hooks and not self.model.dof_frictionloss.any()
+        return MAX_REPLAY_STEP if replayed and smooth and self.dimensions == 3 else MAX_STEP
 
     def _advance(self, first: int, time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,)."""
@@ -234,9 +235,9 @@ class World:
         return qpos, qvel
 
     def _restart(self, true: Trajectory, t: float) -> None:
-        for s, segment in enumerate(self.segments):
+        for s, piece in enumerate(self.pieces):
             for state, given in ((self.data.qpos, true.q), (self.data.qvel, true.qd)):
-                state[s] = np.interp(t, true.time, given[:, segment.joint]) if segment.actuated else 0.0
+                state[s] = np.interp(t, true.time, given[:, piece.joint]) if piece.actuated else 0.0
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """MuJoCo's own inverse dynamics: torques (N, S), N·m, of motions (N, S); passive forces are subtracted."""
@@ -260,20 +261,20 @@ class World:
         return full
 
     def _seen(self, time: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Base and tips (N+1, P, 2) at positions (N+1, S), and the headings of the links that have tips."""
-        angle = np.cumsum(qpos, axis=1)
-        lengths = np.array([segment.length for segment in self.segments])
-        steps = lengths[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        tips = [s for s, segment in enumerate(self.segments) if segment.tip is not None]
-        base = np.broadcast_to(self.base, (len(time), 1, 2))
-        points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
+        """Base and sites (N+1, P+1, d) at positions (N+1, S), and the headings (N+1, P) of what has sites."""
+        base = np.broadcast_to(self.base, (len(time), 1, self.dimensions))
+        seen = np.concatenate([base, sites_at(self.pieces, qpos)[..., : self.dimensions]], axis=1)
         if self.base_shift is not None:
-            points = points + self.base_shift(time)[:, None]
-        return points, angle[:, tips]
+            seen = seen + self.base_shift(time)[:, None]
+        return seen, np.cumsum(qpos, axis=1)[:, [s for s, piece in enumerate(self.pieces) if piece.sites]]
 
 
-def _numbers(link: Link) -> tuple[float, float, float, float]:
-    return link.nominal("length"), link.nominal("mass"), link.nominal("com"), link.nominal("inertia")
+def set_part(element: Any, attributes: dict) -> None:
+    """Set attributes of a part of an MjSpec."""
+    for name, value in attributes.items():
+        if np.ndim(getattr(element, name)) == 1 and np.ndim(value) == 0:  # newer MuJoCos have polynomials here
+            value = [value, *np.zeros(len(getattr(element, name)) - 1)]
+        setattr(element, name, value)
 
 
 def _mujoco() -> Any:

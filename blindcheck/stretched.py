@@ -25,30 +25,25 @@ class Stretched(NamedTuple):
 
 def stretched(body: Body) -> Stretched:
     """The links of a body, one behind the other."""
-    if body.is_chain:
-        lengths, masses, coms, inertias = (
-            np.array([link.nominal(key) for link in body.links]) for key in ("length", "mass", "com", "inertia")
-        )
-        return Stretched(masses, np.cumsum(lengths) - lengths + coms, inertias)
-    p = body.parameters()
-    far = joints_far(body) + np.linalg.norm(p.com.numpy(), axis=-1)
-    return Stretched(p.mass.numpy(), far, p.inertia[:, :3].mean(-1).numpy())
+    p = body.in_space().parameters()
+    inertia = p.inertia[:, 2] if body.is_chain else p.inertia[:, :3].mean(-1)
+    return Stretched(p.mass.numpy(), joints_far(body) + np.linalg.norm(p.com.numpy(), axis=-1), inertia.numpy())
 
 
-def joints_far(tree: Body) -> np.ndarray:
+def joints_far(body: Body) -> np.ndarray:
     """How long the way from the first joint to each link's is, m (L,)."""
-    steps, far = np.linalg.norm(tree.parameters().position.numpy(), axis=-1), np.zeros(len(tree.links))
-    for link, parent in enumerate(tree.parents):
+    steps = np.linalg.norm(body.in_space().parameters().position.numpy(), axis=-1)
+    far = np.zeros(len(body.links))
+    for link, parent in enumerate(body.parents):
         far[link] = far[parent] + steps[link] if parent >= 0 else 0.0
     return far
 
 
 def reach(body: Body) -> float:
-    """Length of the outstretched body, m; of a tree to its farthest site."""
-    if body.is_chain:
-        return float(sum(link.nominal("length") for link in body.links))
-    far, sites = joints_far(body), iter(np.linalg.norm(body.parameters().sites.numpy(), axis=-1))
-    return float(max(far[place] + next(sites) for place, link in enumerate(body.links) for _ in link.points))
+    """Length of the outstretched body to its farthest site, m."""
+    sites = iter(np.linalg.norm(body.in_space().parameters().sites.numpy(), axis=-1))
+    far = zip(joints_far(body), body.links, strict=True)
+    return float(max(before + next(sites) for before, link in far for _ in link.points))
 
 
 def pendulum_frequency(body: Body) -> float:

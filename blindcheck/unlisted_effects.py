@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
+from invdyn.blindcheck.effects.parts import applied, set_joint
 from invdyn.blindcheck.motion import between
+from invdyn.blindcheck.pieces import Piece
 from invdyn.blindcheck.scene import Scene
-from invdyn.blindcheck.simulator import Segment, World
+from invdyn.blindcheck.simulator import World, set_part
 from invdyn.blindcheck.stretched import pendulum_frequency
 
 
@@ -85,12 +86,13 @@ def cable(world: World, rng: np.random.Generator, scene: Scene, joint: int) -> d
 
 def sloshing_payload(world: World, rng: np.random.Generator, scene: Scene, joint: int) -> dict:
     """A weight that swings on a sprung hinge of its own at the last tip."""
-    last = world.segments[-1]
-    mass, length = rng.uniform(0.15, 0.4) * last.mass, 0.3 * last.length
+    last = world.links[-1]
+    mass, length = rng.uniform(0.15, 0.4) * last.mass, 0.3 * last.tip[0]
     frequency = pendulum_frequency(scene.body) * rng.uniform(1.5, 3.0)
     inertia = mass * length**2
     stiffness = inertia * (2 * np.pi * frequency) ** 2
-    world.segments.append(Segment("slosh", length, mass, length, 1e-3 * inertia, None, None, False))
+    weight = Piece("slosh", last, last.tip, mass, np.array([length, 0.0, 0.0]), 1e-3 * inertia * np.eye(3))
+    world.pieces.append(weight)
 
     def change(spec: Any) -> None:
         damping = 0.2 * np.sqrt(stiffness * inertia)

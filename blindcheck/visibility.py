@@ -14,8 +14,8 @@ from functools import partial
 
 import numpy as np
 
+from invdyn.blindcheck.camera import readings
 from invdyn.blindcheck.effects import OBSERVATIONS
-from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.engine import MUJOCO, Engine
 from invdyn.blindcheck.initial_state_fit import unlike_any_start
 from invdyn.blindcheck.injected_effects import Present, pace, shown_by_sensors, world_with

@@ -5,15 +5,16 @@ link flexibility   the link cut at half its length, a sprung hinge between the h
 drifting friction  dof_damping rewritten every step
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
+from invdyn.blindcheck.effects.parts import applied, set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, natural_hz
-from invdyn.blindcheck.simulator import Segment, World
+from invdyn.blindcheck.simulator import World, set_part
 
 
 def _torque_ripple(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -48,14 +49,14 @@ def external_push(world: World, keypoint: int, force_x: float, force_y: float, s
     """A constant force at a tip during an interval, as `xfrc_applied` at the centre of mass and a torque about it."""
 
     def act(t: float, model: Any, data: Any) -> None:
-        body = 1 + next(s for s, segment in enumerate(world.segments) if segment.tip == keypoint)
+        link = world.links[keypoint]
+        body = 1 + world.pieces.index(link)
         # the share of this step that lies within the interval
         step = model.opt.timestep
         share = np.clip((min(stop, t + step) - max(start, t)) / step, 0.0, 1.0)
-        segment = world.segments[body - 1]
         # kinematics of this very state: those in data are of the last step's beginning
         heading = np.cumsum(data.qpos)[body - 1]
-        arm = (segment.length - segment.com) * np.array([np.cos(heading), np.sin(heading)])
+        arm = (link.tip - link.com)[0] * np.array([np.cos(heading), np.sin(heading)])
         torque = arm[0] * force_y - arm[1] * force_x
         data.xfrc_applied[body] = share * np.array([force_x, force_y, 0.0, 0.0, 0.0, torque])
 
@@ -103,15 +104,19 @@ def _link_flexibility(rng: np.random.Generator, s: Scene, link: int, a: float) -
 @mechanism(site="link", units={"stiffness": "N·m/rad", "damping": "N·m·s/rad"}, size=_link_flexibility)
 def link_flexibility(world: World, link: int, stiffness: float, damping: float) -> None:
     """The link in two halves that together have its mass, centre and inertia, a sprung hinge at half its length."""
-    place = next(s for s, segment in enumerate(world.segments) if segment.tip == link)
-    whole = world.segments[place]
+    outer, along = world.links[link], np.array([1.0, 0.0, 0.0])
+    half, moment, mass = outer.tip[0] / 2, outer.inertia[2, 2], outer.mass
     # masses m/2 at com ± a leave I − m a² for the halves themselves; a uniform rod's halves have a = length/4
-    apart = min(whole.length / 4, np.sqrt(0.8 * whole.inertia / whole.mass))
-    rest = (whole.inertia - whole.mass * apart**2) / 2
-    half, mass = whole.length / 2, whole.mass / 2
-    inner = Segment(whole.hinge, half, mass, whole.com - apart, rest, whole.joint, None, whole.actuated)
-    outer = Segment(f"bend{link}", half, mass, whole.com + apart - half, rest, None, link, False)
-    world.segments[place : place + 1] = [inner, outer]
+    apart = min(half / 2, np.sqrt(0.8 * moment / mass))
+    rest = (moment - mass * apart**2) / 2 * np.eye(3)
+    inner = replace(outer, mass=mass / 2, com=outer.com - apart * along, inertia=rest, sites={})
+    outer.hinge, outer.parent, outer.position = f"bend{link}", inner, half * along
+    outer.mass, outer.com, outer.inertia = mass / 2, outer.com + (apart - half) * along, rest
+    outer.joint, outer.actuated, outer.damping = None, False, 0.0
+    for piece in world.pieces:  # what it carries, and its own end, count from its middle now
+        piece.position = piece.position - half * along if piece.parent is outer else piece.position
+    outer.sites = {name: at - half * along for name, at in outer.sites.items()}
+    world.pieces.insert(world.pieces.index(outer), inner)
     world.on_spec(lambda spec: set_part(spec.joint(f"bend{link}"), {"stiffness": stiffness, "damping": damping}))
 
 

@@ -1,52 +1,79 @@
-"""Inertia and gravity that differ: an inertial in place of the link's own, rotated gravity, a rotor. SI units."""
+"""Inertia and gravity that differ: an inertial in place of the link's own, rotated gravity, a rotor. SI units.
+
+payload          a point mass at the body's tip: the hand's site that lies farthest out
+inertial error   mass, centre of mass along a link in the plane and in the link's frame in space, and all moments by one
+                 factor, their mean by so much
+gravity tilt     gravity rotated counter-clockwise in the plane, in space by a rotation vector about the two level axes
+"""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck.effects.effect import mechanism
 from invdyn.blindcheck.effects.parts import set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, sign
 from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.stretched import stretched
 
 
 def _payload(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
-    return {"mass": a * between(rng, 0.1, 0.5) * s.body.links[-1].nominal("mass")}
+    return {"mass": a * between(rng, 0.1, 0.5) * stretched(s.body).mass[s.body.hand[0]]}
 
 
 @mechanism(site="arm", units={"mass": "kg"}, size=_payload)
 def payload(world: World, mass: float) -> None:
-    """A point mass at the last tip."""
-    last = world.segments[-1]
-    total = last.mass + mass
-    com = (last.mass * last.com + mass * last.length) / total
-    last.inertia += last.mass * (last.com - com) ** 2 + mass * (last.length - com) ** 2
-    last.mass, last.com = total, com
+    """A point mass at the hand's own site."""
+    link, site = world.hand
+    piece = world.links[link]
+    off = piece.sites[world.keypoint_names[site]] - piece.com
+    moments = off @ off * np.eye(3) - np.outer(off, off)  # of one kilogram
+    piece.inertia = piece.inertia + piece.mass * mass / (piece.mass + mass) * moments
+    piece.com = piece.com + mass / (piece.mass + mass) * off
+    piece.mass += mass
 
 
 def _inertial_error(rng: np.random.Generator, s: Scene, link: int, a: float) -> dict:
-    mass, length, inertia = (s.body.links[link].nominal(key) for key in ("mass", "length", "inertia"))
+    mass, _, inertia = (values[link] for values in stretched(s.body))
     share = a * rng.uniform(0.1, 0.2, 3) * rng.choice([-1.0, 1.0], 3)
-    return {"mass": share[0] * mass, "com": share[1] * length / 2, "inertia": share[2] * inertia}
+    found = {"mass": share[0] * mass, "inertia": share[2] * inertia}
+    if s.body.is_chain:
+        return found | {"com": share[1] * s.body.links[link].nominal("length") / 2}
+    way = rng.normal(size=3)
+    size = np.linalg.norm(s.body.parameters().com[link].numpy()) + np.sqrt(inertia / mass)
+    com = share[1] * size * way / np.linalg.norm(way)
+    return found | {f"com_{axis}": value for axis, value in zip("xyz", com, strict=True)}
 
 
 @mechanism(site="link", units={"mass": "kg", "com": "m", "inertia": "kg·m²"}, size=_inertial_error)
-def inertial_error(world: World, link: int, mass: float, com: float, inertia: float) -> None:
-    """One link's mass, centre of mass along it, and inertia about that, by so much more than its file says."""
-    segment = next(s for s in world.segments if s.tip == link)
-    segment.mass += mass
-    segment.com += com
-    segment.inertia += inertia
+def inertial_error(
+    world: World,
+    link: int,
+    mass: float,
+    inertia: float,
+    com: float = 0.0,
+    com_x: float = 0.0,
+    com_y: float = 0.0,
+    com_z: float = 0.0,
+) -> None:
+    """One link's mass, centre of mass, and the mean of its moments, by so much more than its file says."""
+    piece = world.links[link]
+    piece.mass += mass
+    piece.com = piece.com + np.array([com + com_x, com_y, com_z])
+    piece.inertia = piece.inertia * (1 + inertia / (np.trace(piece.inertia) / 3))
 
 
 def _gravity_tilt(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
-    return {"angle": a * sign(rng) * np.deg2rad(between(rng, 2.0, 12.0))}
+    if s.body.is_chain:
+        return {"angle": a * sign(rng) * np.deg2rad(between(rng, 2.0, 12.0))}
+    angle, heading = a * np.deg2rad(between(rng, 2.0, 12.0)), rng.uniform(0, 2 * np.pi)
+    return {"about_x": angle * np.cos(heading), "about_y": angle * np.sin(heading)}
 
 
 @mechanism(site="arm", units={"angle": "rad"}, needs=("gravity",), size=_gravity_tilt)
-def gravity_tilt(world: World, angle: float) -> None:
-    """Gravity rotated counter-clockwise."""
-    x, y, z = world.gravity
-    world.gravity = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
+def gravity_tilt(world: World, angle: float = 0.0, about_x: float = 0.0, about_y: float = 0.0) -> None:
+    """Gravity rotated by a rotation vector."""
+    world.gravity = Rotation.from_rotvec([about_x, about_y, angle]).apply(world.gravity)
 
 
 def _armature(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:

@@ -4,7 +4,9 @@ Where MuJoCo has the effect, its own part simulates it; else a force is applied 
 
     viscous, coulomb             dof_damping, dof_frictionloss
     stribeck, load friction      dof_frictionloss rewritten every step, so that sticking stays MuJoCo's own; Stribeck's
-                                 also through bristles, applied (`nonideal_mechanisms`)
+                                 also through bristles, applied: −(σ₀ z + σ₁ ż),  ż = θ̇ − σ₀ |θ̇| z / g(θ̇),
+                                 g = τc + (τs − τc) exp(−(θ̇/ωs)²)     LuGre: Canudas de Wit, Olsson, Åström &
+                                 Lischinsky, IEEE TAC 40 (1995), p. 419
     stiffness, coupling          springs of joints, of a fixed tendon
 """
 
@@ -13,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import applied, set_joint, set_part
+from invdyn.blindcheck.effects.parts import applied, set_joint
 from invdyn.blindcheck.motion import between
-from invdyn.blindcheck.nonideal_mechanisms import bristles
 from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, sign
-from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.simulator import World, set_part
 
 
 def _viscous_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -82,6 +83,26 @@ def stribeck_friction(
     world.on_step(act)
 
 
+def bristles(
+    world: World, joint: int, coulomb: float, static: float, velocity: float, stiffness: float, damping: float
+) -> None:
+    """Dry friction through bristles of stiffness σ₀, N·m/rad, and damping σ₁, N·m·s/rad, unbent to begin with."""
+    bent = {"z": 0.0, "at": np.inf}
+
+    def act(t: float, model: Any, data: Any) -> None:
+        h, step = world.hinge(joint), model.opt.timestep
+        z = 0.0 if t <= bent["at"] else bent["z"]
+        speed = data.qvel[h] + step / 2 * data.qacc[h]
+        level = coulomb + (static - coulomb) * np.exp(-((speed / velocity) ** 2))
+        # exact over a step of constant speed, so that bristles as stiff as steps are short stay bent as they should
+        rate = stiffness * abs(speed) / level
+        after = z + (speed - rate * z) * step * (-np.expm1(-rate * step) / (rate * step) if rate else 1.0)
+        data.qfrc_applied[h] -= stiffness * (z + after) / 2 + damping * (after - z) / step
+        bent.update(z=after, at=t)
+
+    world.on_step(act)
+
+
 def _load_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     return {"coefficient": a * rng.uniform(0.08, 0.3)}
 
@@ -140,8 +161,8 @@ def joint_coupling(world: World, joint: int, stiffness: float, ratio: float, res
     def change(spec: Any) -> None:
         tendon = spec.add_tendon(name=f"coupling{joint}", springlength=[rest_angle, rest_angle])
         set_part(tendon, {"stiffness": stiffness})
-        tendon.wrap_joint(world.segments[world.hinge(joint)].hinge, 1.0)
-        tendon.wrap_joint(world.segments[world.hinge(joint - 1)].hinge, -ratio)
+        tendon.wrap_joint(world.pieces[world.hinge(joint)].hinge, 1.0)
+        tendon.wrap_joint(world.pieces[world.hinge(joint - 1)].hinge, -ratio)
 
     world.on_spec(change)
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import set_motor, set_part
+from invdyn.blindcheck.effects.parts import set_motor
 from invdyn.blindcheck.motion import between
+from invdyn.blindcheck.pieces import Piece
 from invdyn.blindcheck.scene import Scene, natural_hz, sign
-from invdyn.blindcheck.simulator import Segment, World
+from invdyn.blindcheck.simulator import World, set_part
 
 ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is backlash between motor and link
 
@@ -60,7 +61,7 @@ def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     """T u̇_f + u_f = u."""
 
     def change(spec: Any) -> None:
-        motor = spec.actuator(world.segments[world.hinge(joint)].hinge)
+        motor = spec.actuator(world.pieces[world.hinge(joint)].hinge)
         # not mjDYN_FILTEREXACT, whose decay over a step is exact without Runge–Kutta: with it, it decays twice, as a
         # time constant longer by half a step
         motor.dyntype = world.mujoco.mjtDyn.mjDYN_FILTER
@@ -98,11 +99,12 @@ def _backlash(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
 def backlash(world: World, joint: int, width: float) -> None:
     """Backlash of this total width between the motor, with a rotor's inertia, and the link."""
     place = world.hinge(joint)
-    link = world.segments[place]
+    link, nowhere = world.pieces[place], np.zeros(3)
     rotor = ROTOR_SHARE * link.inertia
     # the rotor has mass 1e-9 of the link's, because MuJoCo lets no moving body have none
-    motor = Segment(link.hinge, 0.0, 1e-9 * link.mass, 0.0, rotor, joint, None)
+    motor = Piece(link.hinge, link.parent, link.position, 1e-9 * link.mass, nowhere, rotor, joint, actuated=True)
+    link.parent, link.position = motor, nowhere
     link.hinge, link.actuated, link.inertia = f"play{joint}", False, link.inertia - rotor
-    world.segments.insert(place, motor)
+    world.pieces.insert(place, motor)
     limits = {"limited": True, "range": [-width / 2, width / 2]}
     world.on_spec(lambda spec: set_part(spec.joint(f"play{joint}"), limits))

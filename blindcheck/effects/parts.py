@@ -5,25 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.simulator import World, set_part
 
 
 def set_joint(world: World, joint: int, **attributes: Any) -> None:
     """Set attributes of the hinge that a joint's motor drives, as mjSpec calls them."""
-    world.on_spec(lambda spec: set_part(spec.joint(world.segments[world.hinge(joint)].hinge), attributes))
+    world.on_spec(lambda spec: set_part(spec.joint(world.pieces[world.hinge(joint)].hinge), attributes))
 
 
 def set_motor(world: World, joint: int, **attributes: Any) -> None:
     """Set attributes of a joint's motor, as mjSpec calls them."""
-    world.on_spec(lambda spec: set_part(spec.actuator(world.segments[world.hinge(joint)].hinge), attributes))
-
-
-def set_part(element: Any, attributes: dict) -> None:
-    """Set attributes of a part of an MjSpec."""
-    for name, value in attributes.items():
-        if np.ndim(getattr(element, name)) == 1 and np.ndim(value) == 0:  # newer MuJoCos have polynomials here
-            value = [value, *np.zeros(len(getattr(element, name)) - 1)]
-        setattr(element, name, value)
+    world.on_spec(lambda spec: set_part(spec.actuator(world.pieces[world.hinge(joint)].hinge), attributes))
 
 
 def applied(world: World, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from invdyn.blindcheck.camera import readings
 from invdyn.blindcheck.cases import make_case
-from invdyn.blindcheck.encoders import readings
 from invdyn.blindcheck.simulator import Trajectory
 
 TIME = np.arange(1001) * 1e-3

@@ -10,13 +10,13 @@ import torch
 import invdyn.blindcheck.cases as cases
 from invdyn.blindcheck.cases import effects_of, make_case, planned
 from invdyn.blindcheck.commitment import canonical, read_opened
+from invdyn.blindcheck.effects import IN_SPACE as INJECTED
 from invdyn.blindcheck.engine import IN_SPACE
-from invdyn.blindcheck.in_space.bodies import SPACE, bodies, random_tree, with_damping, with_servos
-from invdyn.blindcheck.in_space.effects import EFFECTS as INJECTED
-from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.judge import judge
 from invdyn.blindcheck.motion import random_plan, simulated
 from invdyn.blindcheck.run import BlindRun
+from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.trees import SPACE, bodies, random_tree, with_damping, with_servos
 from invdyn.blindcheck.worker import diagnose_case
 from invdyn.models import dynamics_for, load_body
 from invdyn.models.bodies.inertia import six
@@ -123,7 +123,7 @@ def test_inertias_and_gravity_are_those_of_the_catalogue(name):
     effect = EFFECTS[name](*(["link3"] if name == "inertial_error" else [])).bound(tree)
     theirs = effect.body({k: torch.tensor([v]).double() for k, v in sizes.items()}, tree.parameters())
     assert set(INJECTED[name].units) == set(sizes)
-    for place, piece in enumerate(world.segments):
+    for place, piece in enumerate(world.pieces):
         assert piece.mass == pytest.approx(theirs.mass[place].item())
         np.testing.assert_allclose(piece.com, theirs.com[place], atol=1e-12)
         np.testing.assert_allclose(six(piece.inertia), theirs.inertia[place], atol=1e-12)

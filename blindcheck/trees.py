@@ -20,10 +20,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck.effects import OBSERVATIONS
-from invdyn.blindcheck.effects.parts import set_part
-from invdyn.blindcheck.in_space.world import World
 from invdyn.blindcheck.motion import Habits, between
 from invdyn.blindcheck.setting import Setting, Style
+from invdyn.blindcheck.simulator import World, set_part
 from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency, reach, stretched
 from invdyn.models import Body
 from invdyn.models.bodies.dh import Inertial, Row, from_dh

@@ -1,1 +1,0 @@
-"""Reality in space: trees of hinges that MuJoCo simulates, with the effects of the plane that have a meaning there."""
