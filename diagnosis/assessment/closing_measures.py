@@ -30,7 +30,7 @@ from invdyn.diagnosis.regression.as_model import (
     with_coefficients,
 )
 from invdyn.diagnosis.regression.regress import Regression, Unseen
-from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
+from invdyn.diagnosis.regression.torque_closing import TorqueClosing, bootstrapped, closing
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
@@ -160,13 +160,10 @@ def _replayed(models: Mapping[str, ArmModel], there: Unseen, rules: Rules) -> tu
 
 def _share(before: np.ndarray, after: np.ndarray, rules: Rules) -> tuple[float, float, float]:
     """Share of the rms that is closed, of squares (W,), bootstrapped in blocks of four replays at most."""
-    count, draws = len(before), rules.outcome.num_bootstraps
+    count = len(before)
     share = 1 - float(np.sqrt(after.mean() / max(before.mean(), 1e-300)))
     if count < 2:
         return share, math.nan, math.nan
-    length = max(1, min(4, count // 2))
-    starts = np.random.default_rng(0).integers(count, size=(draws, -(-count // length)))
-    index = ((starts[..., None] + np.arange(length)) % count).reshape(draws, -1)
-    old, new = (np.maximum(each, 1e-300)[index].mean(1) for each in (before, after))
+    old, new = bootstrapped([np.maximum(each, 1e-300) for each in (before, after)], max(1, min(4, count // 2)), rules)
     low, high = np.quantile(1 - np.sqrt(new / old), [0.05, 0.95]).tolist()
     return share, low, high

@@ -41,16 +41,20 @@ class TorqueClosing:
         }
 
 
+def bootstrapped(columns: Sequence[np.ndarray], length: int, rules: Rules, seed: int = 0) -> np.ndarray:
+    """Sums of each column (R,) over draws (D,) of all rows, in blocks of so many in a circle: (columns, D)."""
+    rows = len(columns[0])
+    starts = np.random.default_rng(seed).integers(rows, size=(rules.outcome.num_bootstraps, -(-rows // length)))
+    whole = np.array([np.concatenate([[0.0], each, each[:length]]) for each in columns]).cumsum(1)
+    return np.asarray((whole[:, starts + length] - whole[:, starts]).sum(-1))
+
+
 def closing(before: np.ndarray, after: np.ndarray, memory: float, rules: Rules) -> TorqueClosing:
     """Of errors (R, K) without and with effects; ``memory`` is their correlation time, in rows."""
     rows = len(before)
     old, new = (np.sqrt((each**2).mean(0)) for each in (before, after))
     length = int(min(max(np.ceil(4 * memory), 1), max(rows // 8, 1)))
-    draws = rules.outcome.num_bootstraps
-    starts = np.random.default_rng(0).integers(rows, size=(draws, -(-rows // length)))
-    squares = [np.concatenate([each, each[:length]]) for each in ((before**2).sum(1), (after**2).sum(1))]
-    totals = [np.concatenate([[0.0], each.cumsum()]) for each in squares]
-    drawn = [(total[starts + length] - total[starts]).sum(1) for total in totals]
+    drawn = bootstrapped([(each**2).sum(1) for each in (before, after)], length, rules)
     shares = 1 - np.sqrt(drawn[1] / np.maximum(drawn[0], 1e-300))
     low, high = np.quantile(shares, [0.05, 0.95]).tolist()
     sizes = [float(np.linalg.norm(each)) for each in (old, new)]
