@@ -439,7 +439,6 @@ class Fixed:
     # -- replays
     replay_horizons: tuple[float, float] = number((0.5, 2.0), "s", "that a replay of angles runs for", "stated")
     replay_window: float = number(1.0, "s", "between the states that a replay is set to", "stated")
-    cubic_spans: tuple[int, ...] = number((5, 7, 9, 13, 19, 27, 39, 55), "rows", "of a state's local cubic", "effort")
     max_replay_windows: int = number(30, "windows", "whose states are found; of more, evenly chosen ones", "effort")
     replay_rounds: int = number(3, "rounds", "of Gauss–Newton on a window's first state", "effort")
     min_replay_noise: float = number(1e-5, "rad", "of an angle, that is taken for noise at least", "chosen")

@@ -1,28 +1,27 @@
 """A file's own simulation against a log: MuJoCo loads it, replays the commands, and what it is off by is counted.
 
 The log is cut into windows of `replay_window` s. Each starts from the state x that the file itself is consistent with:
-the most probable one of the window's angles y under the file's dynamics f, with the local cubic's x̂ as a prior,
+the most probable one of the window's angles y under the file's dynamics f, with a smoother's x̂ as a prior,
 
     min over x   Σ_rows ((y − f(x))/σ)² + ((x − x̂)/s)²         (Gauss–Newton; multiple shooting, Bock & Plitt 1984)
 
 so that no file pays for another's smoothing: an unstable arm multiplies an error of its start by e^{λt}. The whole log
 is replayed, too, from its first state: that says how far an engine gets by itself.
 
-σ are the angles' noise and s what it makes of a local cubic; cross-validation says how many rows that spans. A file
-that says a joint has a delay keeps its past across a window.
+σ are the angles' noise and s three sds of x̂ (:mod:`..regression.wiener_smoother`). A file that says a joint has a
+delay keeps its past across a window.
 
 Shapes: T rows, K joints.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
+from invdyn.diagnosis.regression.wiener_smoother import smooth
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
@@ -91,22 +90,21 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
     own = [parts or NOTHING for parts in body.joint_parts]
     signs, zeros = np.array([parts.sign for parts in own]), np.array([parts.zero for parts in own])
     seen = signs * (angle - zeros)
-    smooth = smoothed_states(time, seen)
-    q, qd = smooth.q, smooth.qd
-    rows = np.flatnonzero(np.isfinite(q).all(1))
-    begin, last = int(rows[0]), len(time) - 1
-    whole = engine.run(np.concatenate([q[begin], qd[begin]]), begin, last) - seen[begin + 1 :]
+    smoothed = smoothed_states(time, seen)
+    known = np.isfinite(smoothed.mean).all(1)
+    begin, last = int(known.argmax()), len(time) - 1
+    whole = engine.run(smoothed.mean[begin], begin, last) - seen[begin + 1 :]
     engine.restart()
     every = max(2, round(FIXED.replay_window / float(np.median(np.diff(time)))))
     edges = [*range(begin, last, every), last]
     fitted = set(np.linspace(0, len(edges) - 2, min(len(edges) - 1, FIXED.max_replay_windows)).round().astype(int))
     off, windows = [], 0
     for n, (first, end) in enumerate(pairwise(edges)):
-        if not np.isfinite(q[first]).all():
+        if not known[first]:
             continue
-        start = np.concatenate([q[first], qd[first]])
+        start = smoothed.mean[first]
         if n in fitted:
-            start = engine.consistent(start, smooth, seen, first, end)
+            start = engine.consistent(smoothed, seen, first, end)
             windows += 1
         found = engine.run(start, first, end) - seen[first + 1 : end + 1]
         off += [found] if n in fitted else []
@@ -114,8 +112,8 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
     if np.isfinite(every_row).sum() < len(signs):
         raise InputError(f"{path}: too few rows with angles to replay the log in it")
     rms = [float(np.sqrt(np.nanmean(each**2))) for each in every_row.T]
-    known = whole[np.isfinite(seen[begin + 1 :])]
-    total = float(np.sqrt((known**2).mean())) if np.isfinite(known).all() else float("inf")
+    off_whole = whole[np.isfinite(seen[begin + 1 :])]
+    total = float(np.sqrt((off_whole**2).mean())) if np.isfinite(off_whole).all() else float("inf")
     return Rollout(dict(zip(body.joint_names, rms, strict=True)), windows, total)
 
 
@@ -157,12 +155,12 @@ class _Engine:
                 found[row - first] = data.qpos[self.at]
         return np.where(np.abs(found) < FIXED.max_replay_angle, found, np.inf)
 
-    def consistent(self, start: np.ndarray, smooth: "States", seen: np.ndarray, first: int, end: int) -> np.ndarray:
+    def consistent(self, smoothed: "States", seen: np.ndarray, first: int, end: int) -> np.ndarray:
         """The state (2K,) at row ``first`` that explains the angles ``seen`` (T, K) until ``end`` best; see the top."""
         y = seen[first + 1 : end + 1]
         known = np.isfinite(y)
-        prior = np.concatenate([smooth.q_sd, smooth.qd_sd])
-        weight = np.broadcast_to(1 / smooth.noise, y.shape)[known]
+        start, prior = smoothed.mean[first], smoothed.sd[first]
+        weight = np.broadcast_to(1 / smoothed.noise, y.shape)[known]
 
         def left(x: np.ndarray) -> np.ndarray:
             model = self.run(x, first, end, trial=True)[known]
@@ -186,54 +184,26 @@ class _Engine:
 
 @dataclass(frozen=True)
 class States:
-    """Smoothed angles and velocities (T, K), NaN before the first and after the last row that has angles.
+    """Smoothed angles and velocities (T, 2K), with three sds of each, and the noise of the angles (K,).
 
-    With the noise of the angles (K,), and three sds of what it makes of each.
+    NaN before the first and after the last row that has angles.
     """
 
-    q: np.ndarray
-    qd: np.ndarray
+    mean: np.ndarray
+    sd: np.ndarray
     noise: np.ndarray
-    q_sd: np.ndarray
-    qd_sd: np.ndarray
-
-
-def states(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and velocities of :func:`smoothed_states`."""
-    found = smoothed_states(time, angle)
-    return found.q, found.qd
 
 
 def smoothed_states(time: np.ndarray, angle: np.ndarray) -> States:
-    """A joint's local cubic spans as many rows as predict a row that is left out best.
-
-    Raises InputError where too few rows have all angles (T, K).
-    """
-    use = np.isfinite(angle).all(1)
-    if use.sum() < FIXED.min_replay_rows:
-        raise InputError(f"expected {FIXED.min_replay_rows} rows with all angles or more, got {use.sum()}")
-    seen = time[use]
-    step = float(np.median(np.diff(seen)))
-    even = seen[0] + step * np.arange(int((seen[-1] - seen[0]) / step + 1e-6) + 1)
-    found: list[list[np.ndarray]] = [[], []]
-    sds: list[tuple[float, float, float]] = []
-    for joint in angle[use].T:
-        rows = np.interp(even, seen, joint)
-        span = min((span for span in FIXED.cubic_spans if span <= len(even)), key=partial(_left_out, rows))
-        weights = [savgol_coeffs(span, 3, deriv=order, delta=step) for order in (0, 1)]
-        for order, columns in enumerate(found):
-            smooth = savgol_filter(rows, span, 3, deriv=order, delta=step)
-            columns.append(np.interp(time, even, smooth, np.nan, np.nan))
-        noise = max(float(np.sqrt(_left_out(rows, span))), FIXED.min_replay_noise)
-        of_angle, of_velocity = (3 * noise * float(np.linalg.norm(each)) for each in weights)
-        sds.append((noise, of_angle, of_velocity))
-    q, qd = (np.stack(columns, -1) for columns in found)
-    noises, q_sd, qd_sd = np.array(sds).T
-    return States(q, qd, noises, q_sd, qd_sd)
-
-
-def _left_out(rows: np.ndarray, span: int) -> float:
-    """Mean square of what a local cubic over ``span`` rows, without a row (T,), is off by there."""
-    own = savgol_coeffs(span, 3)[span // 2]
-    inner = slice(span // 2, len(rows) - span // 2)
-    return float((((rows - savgol_filter(rows, span, 3)) / (1 - own))[inner] ** 2).mean())
+    """What angles (T, K) say of a motion. Raises InputError where too few rows have all."""
+    use = np.flatnonzero(np.isfinite(angle).all(1))
+    if len(use) < FIXED.min_replay_rows:
+        raise InputError(f"expected {FIXED.min_replay_rows} rows with all angles or more, got {len(use)}")
+    rows = slice(use[0], use[-1] + 1)
+    (found,) = smooth([(time[rows], angle[rows])])
+    noise = np.maximum(found.noise, FIXED.min_replay_noise)
+    variance = np.einsum("tkii->tik", found.covariance)[:, :2] * (noise / found.noise)[None, None] ** 2
+    mean, sd = np.full((2, len(time), 2 * angle.shape[1]), np.nan)
+    mean[rows] = found.mean[..., :2].transpose(0, 2, 1).reshape(len(found.time), -1)
+    sd[rows] = 3 * np.sqrt(np.maximum(variance, 0.0)).reshape(len(found.time), -1)
+    return States(mean, sd, noise)
