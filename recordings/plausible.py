@@ -74,29 +74,32 @@ def check_plausible(
             pixels or of another chain only the times are checked.
     """
     units = units or Units()
-    lengths, total = list(link_lengths), float(sum(link_lengths))
+    lengths, reach = list(link_lengths), float(sum(link_lengths))
     if recording.length_unit == "px":
-        total = 1.0  # of an arm whose size is not known, at most
-    if recording.length_unit == "body length" and abs(total - 1) > PLAUSIBLE.body_length_error:
+        reach = 1.0  # of an arm whose size is not known, at most
+    if recording.length_unit == "body length" and abs(reach - 1) > PLAUSIBLE.body_length_error:
         raise InputError(
-            f"keypoints are in body lengths, but this body's links are {total:.3g} long together: "
+            f"keypoints are in body lengths, but this body's links are {reach:.3g} long together: "
             "give lengths that add up to 1, or scale the keypoints by the body's own length"
         )
-    if units.time is None:
-        check_interval(recording, total, units)
-    if recording.length_unit == "px" or recording.keypoints.shape[1] not in (len(lengths), len(lengths) + 1):
-        chain = None
-    else:
-        chain, names = _chain(recording, len(lengths), base)
-        points = dict(zip(names, chain.swapaxes(0, 1), strict=True))
-        check_names(points, dict(zip(pairwise(names), lengths, strict=True)), recording.keypoint_names)
-        for k, (observed, length) in enumerate(zip(median_distances(chain), lengths, strict=True)):
-            _check_length((names[k], names[k + 1]), observed, length, guessed, recording)
-    if recording.length_unit == "m":  # elsewhere g is not known
-        _check_speeds(recording, chain, lengths, units)
-    angles = recording.angles
-    if chain is not None and angles is not None and angles.shape[1] == len(lengths):
-        _check_agreement(chain, angles, units)
+    count, angles = len(lengths), recording.angles
+    known = recording.length_unit != "px" and len(recording.keypoint_names) in (count, count + 1)
+    names = (BASE, *recording.keypoint_names)[-count - 1 :] if known else ()
+    links = dict(zip(pairwise(names), lengths, strict=False))
+    turned = angles is not None and angles.shape[1] == count
+    levers = dict(zip(recording.joint_names, lengths, strict=True)) if turned else {}
+    check_in_space(recording, reach, links, levers, units, guessed, base)
+    tracks = _tracks(recording, base)
+    nothing = np.full((recording.num_frames, recording.keypoints.shape[-1]), np.nan)
+    along = {pair: tracks.get(pair[1], nothing) - tracks.get(pair[0], nothing) for pair in links}
+    for (before, name), track in along.items() if recording.length_unit == "m" and units.time is None else ():
+        if (number := froude(track, recording.time, links[before, name])) > PLAUSIBLE.froude:
+            raise InputError(
+                f"{name} moves too fast: in a quarter of the rows it feels {number:.3g} times gravity about the joint "
+                f"before it. Check --fps, and that times are seconds; {units.accepts('s')} accepts them"
+            )
+    if along and angles is not None and turned:
+        _check_agreement(np.stack(list(along.values()), axis=1), angles, units)
 
 
 def check_in_space(
@@ -127,9 +130,8 @@ def check_in_space(
     units = units or Units()
     if units.time is None:
         check_interval(recording, reach, units)
-    known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
+    known = _tracks(recording, base)
     if base is not None:
-        known[BASE] = np.broadcast_to(np.asarray(base), (recording.num_frames, 3))
         for name in recording.keypoint_names:
             (observed,) = median_distances(np.stack([known[BASE], known[name]], axis=1))
             if observed > (PLAUSIBLE.length_ratio if guessed else PLAUSIBLE.known_length_ratio) * farthest:
@@ -143,7 +145,9 @@ def check_in_space(
     for pair, length in known_distances.items():
         (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
         _check_length(pair, observed, length, guessed, recording)
-    if recording.angles is not None and units.angle is None:
+    if (
+        recording.angles is not None and units.angle is None and recording.length_unit == "m"
+    ):  # elsewhere g is not known
         for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
             if name in levers:
                 _check_turning(name, angle, recording.time, levers[name], units)
@@ -155,14 +159,21 @@ def check_scale(recording: Recording, distances: Mapping[tuple[str, str], float]
     ``distances`` are as of :func:`check_in_space`, in the body's unit; ``base`` is the first joint's place (S,), or its
     track (T, S).
     """
-    known = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
-    shape = (recording.num_frames, recording.keypoints.shape[-1])
-    if base.shape[-1] == shape[-1]:
-        known[BASE] = np.broadcast_to(base, shape)
+    known = _tracks(recording, base if base.shape[-1] == recording.keypoints.shape[-1] else None)
     for pair, length in distances.items():
         if set(pair) <= known.keys():
             (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
             _check_length(pair, observed, length, True, recording)
+
+
+def _tracks(recording: Recording, base: Sequence[float] | np.ndarray | None) -> dict[str, np.ndarray]:
+    """By name, tracks (T, S) of the keypoints, and of the first joint where its place, or its track, is known."""
+    found = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
+    if base is not None:
+        at = np.asarray(base)
+        found[BASE] = np.zeros((recording.num_frames, recording.keypoints.shape[-1]))
+        found[BASE][:, : at.shape[-1]] = at
+    return found
 
 
 def _odd_columns(recording: Recording) -> str:
@@ -214,36 +225,8 @@ def _check_turning(joint: str, angle: np.ndarray, time: np.ndarray, length: floa
         )
 
 
-def _chain(recording: Recording, links: int, base: Sequence[float] | None) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Joints and the last tip (T, K + 1, S), and their names."""
-    points, names = recording.keypoints, recording.keypoint_names
-    if points.shape[1] > links:
-        return points, names
-    origin = np.full((len(points), 1, points.shape[-1]), np.nan)
-    if base is not None:
-        origin[..., :] = 0.0
-        origin[..., : len(base)] = base
-    return np.concatenate([origin, points], axis=1), (BASE, *names)
-
-
-def _check_speeds(recording: Recording, chain: np.ndarray | None, lengths: Sequence[float], units: Units) -> None:
-    angles = recording.angles
-    if angles is not None and angles.shape[1] == len(lengths) and units.angle is None:
-        for name, angle, length in zip(recording.joint_names, angles.T, lengths, strict=True):
-            _check_turning(name, angle, recording.time, length, units)
-    if chain is not None and units.time is None:
-        for k, length in enumerate(lengths):
-            if (number := froude(chain[:, k + 1] - chain[:, k], recording.time, length)) > PLAUSIBLE.froude:
-                raise InputError(
-                    f"{recording.keypoint_names[k - len(lengths)]} moves too fast: in a quarter of the rows it feels "
-                    f"{number:.3g} times gravity about the joint before it. Check --fps, and that times are seconds; "
-                    f"{units.accepts('s')} accepts them"
-                )
-
-
-def _check_agreement(chain: np.ndarray, angles: np.ndarray, units: Units) -> None:
-    """Check angles against the links' directions, in the declared unit and in the other one."""
-    links = np.diff(chain, axis=1)
+def _check_agreement(links: np.ndarray, angles: np.ndarray, units: Units) -> None:
+    """Check angles (T, K) against the links (T, K, S), in the declared unit and in the other one."""
     if links.shape[-1] != 2:
         return
     seen = np.arctan2(links[..., 1], links[..., 0])
