@@ -5,6 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
+from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.result import (
     Cause,
     Diagnosis,
@@ -68,6 +69,14 @@ def tracks(joints=2, rows=300, seed=0, names=TIPS, missing=True):
     )  # fmt: skip
 
 
+def posture(joints=2, names=TIPS):
+    lengths, heading = np.array([0.30, 0.26, 0.12])[:joints], np.cumsum([-1.2, 0.7, 0.7][:joints])
+    tips = np.cumsum(lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1), 0)
+    links = range(joints)
+    keypoints = {name: k + 1 for k, name in enumerate(names[:joints])}
+    return Posture(np.concatenate([np.zeros((1, 2)), tips]), tuple((k, k, k + 1) for k in links), (*links,), keypoints)
+
+
 def diagnosis(joints=2, causes=None, **changes):
     """Viscous friction of the shoulder, found."""
     names = JOINTS[:joints]
@@ -94,7 +103,7 @@ def diagnosis(joints=2, causes=None, **changes):
         shrinkage=Shrinkage(0.96, (0.93, 0.99), True, dict.fromkeys(names, 0.012)),
         joint_names=names,
         link_names=LINKS[:joints],
-        lengths=(0.30, 0.26, 0.12)[:joints],
+        posture=posture(joints),
         tracks=tracks(joints),
         screened=(("viscous_friction.shoulder", 210.4), ("coulomb_friction.shoulder", 160.2), ("camera_roll", -3.1)),
         visibility=(
@@ -176,7 +185,8 @@ def hostile():
             {"dynamics": 1.0}, dict.fromkeys(bad, 0.5), dict.fromkeys(HOSTILE[1:], 0.9), (), (f"velocity:{HOSTILE[2]}",)
         ),
         gap=replace(d.gap, residual_torque_rms=dict.fromkeys(bad, 0.3)),
-        tracks=tracks(names=HOSTILE[1:]), not_identifiable=HOSTILE, separating_experiment=HOSTILE[1],
+        tracks=tracks(names=HOSTILE[1:]), posture=posture(names=HOSTILE[1:]),
+        not_identifiable=HOSTILE, separating_experiment=HOSTILE[1],
         ambiguity_set=((f"a.{bad[0]}", HOSTILE[2]),), screened=((HOSTILE[2], 1.0),),
         outside=Outside(0.01, HOSTILE[0], {HOSTILE[1]: (1.0, 0.1, HOSTILE[2])}, 0.1),
     )  # fmt: skip

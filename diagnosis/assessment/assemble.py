@@ -16,7 +16,7 @@ from invdyn.diagnosis.assessment.gap_closure import Closed
 from invdyn.diagnosis.assessment.localisation import where
 from invdyn.diagnosis.assessment.matters import matters, tolerated
 from invdyn.diagnosis.assessment.model_posterior import Weighed, too_small
-from invdyn.diagnosis.assessment.posture import base_of, lengths_of, posture, typical_row
+from invdyn.diagnosis.assessment.posture import base_of, posture, typical_row
 from invdyn.diagnosis.assessment.result import (
     STEPS,
     Cause,
@@ -29,7 +29,6 @@ from invdyn.diagnosis.assessment.result import (
     Visibility,
     Where,
 )
-from invdyn.diagnosis.assessment.suggested_experiments import separating_experiment
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
@@ -134,9 +133,8 @@ def assembled(
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
         overlaps=overlaps(bound, rivals, found.first),
-        separating_experiment=separating_experiment(
-            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects],
-            bound.catalogue,
+        separating_experiment=bound.catalogue.separating_experiment(
+            [f.effect for cause in causes if "+".join(f.key for f in cause.effects) in rivals for f in cause.effects]
         ),
         outside=Outside(
             weighed.outside,
@@ -154,7 +152,6 @@ def assembled(
         ),
         joint_names=joints,
         link_names=body.link_names,
-        lengths=lengths_of(body),
         tracks=Tracks(
             time=model.time.numpy() + bound.problem.origin,
             observed=_observed(bound),
@@ -327,7 +324,6 @@ def nothing_to_say(
         shrinkage=Shrinkage(None, None, False, empty),
         joint_names=joints,
         link_names=body.link_names,
-        lengths=lengths_of(body),
         posture=posture(body),
         tracks=None,
         screened=(),

@@ -1,14 +1,14 @@
-"""A body in space in one posture, as a picture shows it: joints, links and keypoints as points and lines between them.
+"""A body in one posture, as a picture shows it: joints, links and keypoints as points and lines between them.
 
-Two pictures: from the side, where it is widest, and from the front, a quarter of a turn on; up is against gravity.
-With P the points about their middle, and u upwards, the side's x is the first principal axis of P (E − u uᵀ).
+A chain in the plane has one picture. A body in space has two: from the side, where it is widest, and from the front, a
+quarter of a turn on; up is against gravity. With P the points about their middle, and u upwards, the side's x is the
+first principal axis of P (E − u uᵀ).
 
-Shapes: N points, K joints, d = 3 coordinates.
+Shapes: N points, K joints, d coordinates.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import singledispatch
 
 import numpy as np
 import torch
@@ -39,11 +39,6 @@ class Posture:
     views: np.ndarray = field(default_factory=lambda: np.eye(2)[None])
 
 
-def lengths_of(body: ArticulatedBody) -> tuple[float, ...]:
-    """Of a chain in the plane its links' lengths, m; of another body none."""
-    return tuple(link.nominal("length") for link in body.links) if isinstance(body, Body) and body.is_chain else ()
-
-
 def base_of(body: ArticulatedBody) -> np.ndarray:
     """Where the first joint is, (d,) m, if it stands still; else the frame's origin."""
     given = body.described(body.parameters()).get("base")
@@ -59,19 +54,14 @@ def typical_row(angle: np.ndarray) -> int | None:
     return int(good[off.argmin()])
 
 
-@singledispatch
 def posture(body: ArticulatedBody, angle: np.ndarray | None = None) -> Posture | None:
-    """A body at ``angle`` (K,), or where its file has it; None for a chain in the plane, which lengths alone draw."""
-    return None
-
-
-@posture.register
-def _(body: Body, angle: np.ndarray | None = None) -> Posture | None:
-    if body.is_chain:
+    """A body at ``angle`` (K,), or where its file has it, a chain slightly bent; None for a kind without links."""
+    if not isinstance(body, Body):
         return None
-    links = [replace(link, sites={**link.sites, MARK + link.name: (0.0, 0.0, 0.0)}) for link in body.links]
-    marked = replace(body, links=links)
-    q = torch.as_tensor(np.array(body.hanging if angle is None else angle, float))
+    tree, d = body.in_space(), body.dimensions
+    links = [replace(link, sites={**link.sites, MARK + link.name: (0.0, 0.0, 0.0)}) for link in tree.links]
+    marked = replace(tree, links=links)
+    q = torch.as_tensor(np.array(body.hanging, float) + (0.4 if body.is_chain else 0.0) if angle is None else angle)
     sites = dynamics_for(marked).keypoints(q, marked.parameters()).numpy()
     at = dict(zip(marked.keypoint_names, sites, strict=True))
     near = FIXED.negligible * max(float(np.ptp(sites, 0).max()), 1e-12)
@@ -87,11 +77,13 @@ def _(body: Body, angle: np.ndarray | None = None) -> Posture | None:
     hubs = [number(at[MARK + link.name]) for link in body.links]
     keypoints = {name: number(at[name]) for name in body.keypoint_names}
     lines = [(parent, number(np.zeros(3)) if parent < 0 else hubs[parent], hubs[k])
-             for k, parent in enumerate(body.parents) if parent >= 0 or body.links[k].joint.type != "free"]  # fmt: skip
+             for k, parent in enumerate(body.parents)
+             if parent >= 0 or (d == 3 and body.links[k].joint.type != "free")]  # fmt: skip
     lines += [(k, hubs[k], keypoints[name]) for k, link in enumerate(body.links) for name in link.points]
     owners = [hubs[body.links.index(link)] for link, _ in body.motions() if not link.joint.driven]
     drawn = tuple(dict.fromkeys(line for line in lines if line[1] != line[2]))
-    return Posture(np.array(points), drawn, tuple(owners), keypoints, _views(np.array(points), np.array(body.gravity)))
+    views = np.eye(2)[None] if d == 2 else _views(np.array(points), np.array(body.gravity))
+    return Posture(np.array(points)[:, :d], drawn, tuple(owners), keypoints, views)
 
 
 def _views(points: np.ndarray, gravity: np.ndarray) -> np.ndarray:

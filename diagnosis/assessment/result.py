@@ -236,10 +236,10 @@ class Diagnosis:
     was spent, 0 where it was not. `screened` has every candidate's key and log evidence against "no gap", best first;
     `visibility` one entry a candidate; `method` what was computed and how (seconds are left out: the report must not
     change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
-    looked for in space. `lengths` are those of a chain in the plane, whose picture they draw; of another body `posture`
-    does. `regression` says what a regression of the torque does, and `closing` how much of the missing torque, and of
-    a replay's error, it and the search explain; None where torques are unknown. `length_unit` is the recording's,
-    such as "body length": m stands for it in all units, of torques too. In :meth:`to_json` `Cause.in_part` is
+    looked for in space. `posture` is what a picture of the body draws. `regression` says what a regression of the
+    torque does, and `closing` how much of the missing torque, and of a replay's error, it and the search explain; None
+    where torques are unknown. `length_unit` is the recording's, such as "body length": m stands for it in all units, of
+    torques too. In :meth:`to_json` `Cause.in_part` is
     "probability_in_part", `outside` "outside_catalogue" and an interval's `stop` its "end".
     """
 
@@ -257,7 +257,6 @@ class Diagnosis:
     shrinkage: Shrinkage
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
-    lengths: tuple[float, ...]
     tracks: Tracks | None
     screened: tuple[tuple[str, float], ...]
     visibility: tuple[Visibility, ...]

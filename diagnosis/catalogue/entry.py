@@ -153,6 +153,12 @@ class Catalogue(Mapping[str, CatalogueEntry]):
     def __hash__(self) -> int:
         return hash(tuple(self._entries))
 
+    def separating_experiment(self, effects: Sequence[str]) -> str | None:
+        """The recordings that show rivals, the most probable one's first, in a sentence; None for fewer than two."""
+        known = (self[name].shown_by for name in effects if name in self)
+        wanted = list(filter(None, dict.fromkeys(known)))
+        return f"Record {'; and '.join(wanted)}." if len(effects) > 1 and wanted else None
+
     def __or__(self, other: Mapping[str, Any]) -> "Catalogue":
         return Catalogue({**self, **other})
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from markupsafe import Markup
 
-from invdyn.diagnosis.assessment.posture import Posture, typical_row
+from invdyn.diagnosis.assessment.posture import Posture
 from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.numbers import known, percent
 from invdyn.diagnosis.report.sentences import best
@@ -28,40 +28,10 @@ class View:
         return self._centre + (np.asarray(points, float) - self._middle) * self.scale * np.array([1.0, -1.0])
 
 
-def chain(diagnosis: Diagnosis) -> Posture:
-    """Base and tips of a chain in the plane at a typical posture; without tracks it hangs, slightly bent."""
-    tracks, lengths = diagnosis.tracks, np.array(diagnosis.lengths, float)
-    base = np.zeros(2)
-    angle = np.array([-np.pi / 2 + 0.35, *[0.5] * (len(lengths) - 1)])
-    if tracks is not None:
-        base = tracks.base
-        if (row := typical_row(tracks.angle)) is not None:
-            angle = tracks.angle[row]
-    direction = np.cumsum(angle)
-    steps = lengths[:, None] * np.stack([np.cos(direction), np.sin(direction)], -1)
-    points = np.concatenate([[base], base + np.cumsum(steps, 0)])
-    links = range(len(lengths))
-    return Posture(points, tuple((k, k, k + 1) for k in links), tuple(links), nodes_of_keypoints(diagnosis))
-
-
-def nodes_of_keypoints(diagnosis: Diagnosis) -> dict[str, int]:
-    """Keypoint to the number of the base (0) or tip (1 …) that it stays nearest to; in order where nothing was seen."""
-    tracks, found = diagnosis.tracks, {}
-    names = tracks.keypoint_names if tracks is not None else tuple(diagnosis.where.keypoints)
-    for p, name in enumerate(names):
-        found[name] = min(p + 1, len(diagnosis.lengths))
-        if tracks is not None and np.isfinite(tracks.observed[:, p]).any():
-            base = np.broadcast_to(tracks.base, (len(tracks.time), 1, 2))
-            away = np.linalg.norm(np.concatenate([base, tracks.smoothed], 1) - tracks.observed[:, p : p + 1], axis=-1)
-            if np.isfinite(away).any(0).all():
-                found[name] = int(np.nanmedian(away, 0).argmin())
-    return found
-
-
 def arm(diagnosis: Diagnosis) -> Markup:
     """The drawing; of a body in space one from the side and one from the front."""
-    body = diagnosis.posture or chain(diagnosis)
-    return Markup("").join(_seen(diagnosis, body, body.points @ view.T) for view in body.views)
+    body = diagnosis.posture
+    return Markup("").join(_seen(diagnosis, body, body.points @ view.T) for view in (body.views if body else ()))
 
 
 def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:

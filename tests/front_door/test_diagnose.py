@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 
+from invdyn.diagnosis.assessment.posture import posture
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate, Finding, Gap, Outside, Shrinkage, Where
 from invdyn.diagnosis.report import write_report
 from invdyn.recordings import InputError, write_keypoint_csv
@@ -39,7 +40,7 @@ def found(recording, body, seed, not_enough=None):
         shrinkage=Shrinkage(0.96, (0.93, 0.99), True, {}),
         joint_names=body.joint_names,
         link_names=tuple(link.name for link in body.links),
-        lengths=tuple(link.nominal("length") for link in body.links),
+        posture=posture(body),
         tracks=None,
         screened=(),
         visibility=(),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pendulum import LOOSE, PENDULUM, recording_of
 
-from invdyn.diagnosis.assessment.credible import credible
+from invdyn.diagnosis.assessment.model_posterior import credible
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem

@@ -9,8 +9,7 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
-from invdyn.diagnosis.assessment.credible import credible
-from invdyn.diagnosis.assessment.model_posterior import only, share_explained, weigh
+from invdyn.diagnosis.assessment.model_posterior import credible, only, share_explained, weigh
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched

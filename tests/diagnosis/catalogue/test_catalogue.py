@@ -77,3 +77,13 @@ def test_a_report_has_the_words_of_its_entry():
     bare = Finding("belt", "dynamics", {"joint": "elbow"}, {}, own=Catalogue({"belt": BeltDrag})["belt"])
     assert words.finding_words(bare) == "belt at the elbow"
     assert words.meaning(bare) is None
+
+
+def test_a_separating_experiment_for_every_rival():
+    assert CATALOGUE.separating_experiment(["payload"]) is None
+    assert CATALOGUE.separating_experiment([]) is None
+    sentence = CATALOGUE.separating_experiment(["actuator_delay", "camera_latency"])
+    assert sentence == f"Record {CATALOGUE['camera_latency'].shown_by}."  # asked for once
+    sentence = CATALOGUE.separating_experiment(["viscous_friction", "armature"])
+    assert CATALOGUE["viscous_friction"].shown_by in sentence
+    assert CATALOGUE["armature"].shown_by in sentence
