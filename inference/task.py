@@ -237,7 +237,7 @@ def prepare(
         evidence = [float(each.log_marginal) for each in fits]
         record["torque_evidence"] = dict(zip(names, evidence, strict=True))
     candidates = [
-        Candidate(_at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
+        Candidate(at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
     ]
     mixed = tuple(candidates) if len(problems) > 1 else ()
     return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), mixed)
@@ -256,7 +256,7 @@ def _fitted(
     doubts: list[list[str]] = []
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         part = _share(report, number, len(problems))
-        found, doubt = fit_over_gaps(_at_start(problem, free), problem.observations, free, part, problem.origin)
+        found, doubt = fit_over_gaps(at_start(problem, free), problem.observations, free, part, problem.origin)
         fits.append(found)
         doubts.append(doubt)
     if checkpoint is not None:
@@ -271,7 +271,7 @@ def _fitted(
     return fits, doubts
 
 
-def _at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
+def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
     """The model at the parameters that a fit begins at."""
     model = problem.model
     if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none

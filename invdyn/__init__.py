@@ -2,6 +2,13 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from invdyn.inference.study.study import Study
+    from invdyn.models import Body
 
 # Threads that wait must sleep: spinning, they halve the speed of all other work on a shared machine, and of ours.
 # OpenMP reads this when torch is loaded, so it has no effect where torch came first.
@@ -15,3 +22,29 @@ if _missing := [room for room in ROOMS if not (Path(__file__).parent / room).is_
         f"invdyn/{_missing[0]} should be a link to ../{_missing[0]}, but this checkout has no symbolic links: "
         "set 'git config core.symlinks true' and check out again, or install the wheel"
     )
+
+
+def trials(
+    table: "str | Path | pd.DataFrame",
+    body: "str | Path | Body | None" = None,
+    *,
+    method: str = "laplace",
+    workers: int | str | None = None,
+    **options: Any,
+) -> "Study":
+    """Infer many trials, sharing within sessions: torques, tables, averages, differences between conditions.
+
+    Args:
+        table: a .csv or a data frame, one row a trial, with columns recording, subject, session, condition, event_…;
+            or a folder of recordings (:mod:`.study_commands` lists all columns).
+        body: a body, or its file; None where the table has bodies, or ``height``, ``mass`` and ``sex`` are given.
+        method: a key of ``METHODS``.
+        workers: processes, or a Dask scheduler's address; the result is the same to the bit.
+        options: those of the command by name, such as ``units``, ``fps``, ``seed``, ``checkpoint``.
+
+    Returns the study: its ``table``, ``summary()``, ``difference("condition")``, ``plot(align="touch")`` and ``save``.
+    Raises InputError for a table that cannot be used; a trial that cannot is named in ``reasons`` and left out.
+    """
+    from .study_commands import run_trials
+
+    return run_trials(table, body, method=method, workers=workers, **options)

@@ -10,7 +10,15 @@ from typing import Annotated, Any
 
 import typer
 
-from . import blind_commands, camera_commands, excite_commands, film_commands, model_commands, robot_commands
+from . import (
+    blind_commands,
+    camera_commands,
+    excite_commands,
+    film_commands,
+    model_commands,
+    robot_commands,
+    study_commands,
+)
 from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
 from .inference_options import Inference, kinematic_arguments, open_workers
@@ -359,5 +367,13 @@ def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
     )
 
 
-for commands in (robot_commands, excite_commands, film_commands, camera_commands, model_commands, blind_commands):
+for commands in (
+    study_commands,
+    robot_commands,
+    excite_commands,
+    film_commands,
+    camera_commands,
+    model_commands,
+    blind_commands,
+):
     commands.register(command)

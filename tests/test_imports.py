@@ -99,6 +99,7 @@ STAGES = {
         "parameters",
         "posterior",
         "methods",
+        "study",
     ],
     "diagnosis": [
         "catalogue",

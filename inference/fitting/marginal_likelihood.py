@@ -333,7 +333,7 @@ def fit(
     )
     value, hessian = objective.value(result.x), objective.curvature(result.x)
     log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
-    covariance = _laplace(objective, hessian)
+    covariance = laplace(objective, hessian)
     sd = np.sqrt(np.diagonal(covariance))
     return Fit(
         objective.at(result.x),
@@ -347,7 +347,7 @@ def fit(
     )
 
 
-def _laplace(objective: Objective, hessian: np.ndarray) -> np.ndarray:
+def laplace(objective: Objective, hessian: np.ndarray) -> np.ndarray:
     """Covariance of φ from the Hessian at the optimum; in no direction wider than the prior.
 
     In units of the prior's sd the prior alone has curvature 1. Where the evidence is not convex that stands in.

@@ -1,0 +1,214 @@
+"""Partial pooling: a hierarchical normal model over estimates of trials that have standard errors of their own.
+
+    y_i = μ_{c(i)} + Σ_g u_{g, z_g(i)} + e_i,    u_{g,j} ~ N(0, τ_g²),    e_i ~ N(0, τ_0² + s_i²)
+
+y_i is a trial's posterior mean, s_i its posterior sd, c(i) its condition, z_g(i) its subject, its session, its session
+under this condition, and its subject under this condition (the effect of the condition then differs between subjects).
+τ_0 is the spread between trials of one cell. A grouping is left out where the design cannot tell it from another one.
+Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–534). The scale of that between subjects is
+the sd of all y, of the others the sd of y about its subject's mean.
+
+Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
+Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is asked of μ is a
+mixture of normals. Nothing is random: the same numbers give the same answer.
+
+Shapes: n trials, C conditions, G sets of τ, q = C + all groups.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import logsumexp
+from scipy.stats import chi2, halfnorm, multivariate_t, norm, qmc
+
+SETS, ROUNDS, DF, WIDER = 1024, 2, 5.0, 1.3
+LEAST = 1e-4
+"""Of the scale: below it a spread counts as none."""
+MIN_TRIALS = 2
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """A quantity whose density is Σ_g w_g N(mean_g, sd_g²)."""
+
+    weights: np.ndarray
+    means: np.ndarray
+    sds: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Of the mixture."""
+        return float(self.weights @ self.means)
+
+    @property
+    def sd(self) -> float:
+        """Of the mixture."""
+        return float(np.sqrt(self.weights @ (self.sds**2 + (self.means - self.mean) ** 2)))
+
+    def below(self, x: float) -> float:
+        """Probability of a value under x."""
+        return float(self.weights @ norm.cdf(x, self.means, self.sds))
+
+    def quantile(self, share: float) -> float:
+        """Value with that probability below it."""
+        ends = self.mean + 40 * (self.sd or 1.0) * np.array([-1.0, 1.0])
+        return float(brentq(lambda x: self.below(x) - share, *ends, xtol=1e-9 * (ends[1] - ends[0])))
+
+    @property
+    def direction(self) -> float:
+        """Probability of the more probable sign."""
+        negative = self.below(0.0)
+        return max(negative, 1 - negative)
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Posterior of :func:`pool`.
+
+    Attributes:
+        levels: the C conditions.
+        weights: (G,) of the sets of τ.
+        means, covariances: (G, C) and (G, C, C) of μ.
+        spreads: (G, 1 + groupings) τ, that between trials first.
+        groupings: names of the others.
+    """
+
+    levels: tuple[str, ...]
+    weights: np.ndarray
+    means: np.ndarray
+    covariances: np.ndarray
+    spreads: np.ndarray
+    groupings: tuple[str, ...]
+
+    def average(self, level: str) -> Mixture:
+        """Of a condition's μ."""
+        k = self.levels.index(level)
+        return Mixture(self.weights, self.means[:, k], np.sqrt(self.covariances[:, k, k]))
+
+    def new_trial(self, level: str) -> Mixture:
+        """Of a further trial's true value, of a subject and a session that were not seen."""
+        own = self.average(level)
+        return Mixture(own.weights, own.means, np.sqrt(own.sds**2 + (self.spreads**2).sum(-1)))
+
+    def difference(self, first: str, second: str) -> Mixture:
+        """Of μ_second − μ_first."""
+        a, b = (self.levels.index(level) for level in (first, second))
+        variance = self.covariances[:, a, a] + self.covariances[:, b, b] - 2 * self.covariances[:, a, b]
+        return Mixture(self.weights, self.means[:, b] - self.means[:, a], np.sqrt(variance))
+
+
+def pool(
+    estimates: np.ndarray,
+    errors: np.ndarray,
+    condition: Sequence[str],
+    subject: Sequence[str],
+    session: Sequence[str],
+    sets: int = SETS,
+) -> Pooled:
+    """Pool estimates y (n,) with standard errors s (n,) of trials; labels are (n) each.
+
+    Raises ValueError for fewer than two trials, or numbers that are not finite.
+    """
+    y, s = np.asarray(estimates, float), np.asarray(errors, float)
+    if len(y) < MIN_TRIALS or not (np.isfinite(y).all() and np.isfinite(s).all()):
+        raise ValueError(f"expected {MIN_TRIALS} trials or more with finite estimates, got {y} with errors {s}")
+    middle, within = float(y.mean()), y.copy()
+    for who in set(subject):
+        same = np.asarray(subject) == who
+        within[same] -= y[same].mean()
+    scale = float(within.std()) or float(y.std()) or float(s.mean()) or 1.0
+    wide = max(float(y.std()) / scale, 1.0)
+    y, s = (y - middle) / scale, np.maximum(s / scale, LEAST)
+    levels, own = np.unique(np.asarray(condition, str), return_inverse=True)
+    groups = groupings(condition, subject, session)
+    design = np.concatenate([np.eye(len(levels))[own], *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
+    sizes = np.array([z.max() + 1 for z in groups.values()], int)
+    log_scale = np.log([1.0, *(wide if name == "subject" else 1.0 for name in groups)])
+    log_tau, log_weights = _prior_points(log_scale, sets), np.zeros(sets)
+    log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
+    for _ in range(ROUNDS):
+        log_tau, importance = _adapted(log_tau, log_weights, log_scale)
+        evidence, means, covariances = _given(log_tau, y, s, design, len(levels), sizes)
+        log_weights = evidence + importance
+    weights = np.exp(log_weights - logsumexp(log_weights))
+    return Pooled(
+        tuple(levels.tolist()),
+        weights,
+        middle + scale * means,
+        scale**2 * covariances,
+        scale * np.exp(log_tau),
+        tuple(groups),
+    )
+
+
+def groupings(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> dict[str, np.ndarray]:
+    """Group (n,) of each trial by each grouping that the design tells from conditions, trials, and the ones before."""
+    pairs = {
+        "subject": list(zip(subject, strict=True)),
+        "subject × condition": list(zip(subject, condition, strict=True)),
+        "session": list(zip(subject, session, strict=True)),
+        "session × condition": list(zip(subject, session, condition, strict=True)),
+    }
+    found: dict[str, np.ndarray] = {}
+    known = [_numbered(list(zip(condition, strict=True))), np.arange(len(condition))]
+    for name, labels in pairs.items():
+        number = _numbered(labels)
+        if number.max() > 0 and not any(np.array_equal(number, other) for other in known):
+            found[name] = number
+            known.append(number)
+    return found
+
+
+def _numbered(labels: list[tuple]) -> np.ndarray:
+    """Groups numbered in the order in which they come."""
+    numbers: dict[tuple, int] = {}
+    return np.array([numbers.setdefault(label, len(numbers)) for label in labels])
+
+
+def _given(
+    log_tau: np.ndarray, y: np.ndarray, s: np.ndarray, design: np.ndarray, conditions: int, sizes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evidence log p(y | τ) (G,) but for a constant, and mean (G, C) and covariance (G, C, C) of μ."""
+    tau2 = np.exp(2 * log_tau)
+    precision = 1 / (tau2[:, :1] + s**2)
+    prior = np.concatenate([np.zeros((len(tau2), conditions)), np.repeat(1 / tau2[:, 1:], sizes, axis=1)], axis=1)
+    squares = design[:, :, None] * design[:, None, :]
+    matrix = np.tensordot(precision, squares, axes=1) + prior[:, :, None] * np.eye(design.shape[1])
+    right = (precision * y) @ design
+    covariance = np.linalg.inv(matrix)
+    mean = np.einsum("gij,gj->gi", covariance, right)
+    log_evidence = 0.5 * (np.log(precision).sum(-1) - precision @ y**2 + (right * mean).sum(-1))
+    log_evidence -= 0.5 * np.linalg.slogdet(matrix)[1] + (sizes * log_tau[:, 1:]).sum(-1)
+    return log_evidence, mean[:, :conditions], covariance[:, :conditions, :conditions]
+
+
+def _points(dimensions: int, count: int) -> np.ndarray:
+    """Sobol points (count, dimensions) within the unit cube, its faces left out."""
+    points = qmc.Sobol(dimensions, scramble=True, rng=0).random(count)
+    return np.clip(points, 1e-6, 1 - 1e-6)
+
+
+def _prior_points(log_scale: np.ndarray, count: int) -> np.ndarray:
+    """Points log τ (G, d) of the prior, whose scales are e^log_scale (d,)."""
+    return np.log(np.maximum(halfnorm.ppf(_points(len(log_scale), count)), LEAST)) + log_scale
+
+
+def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """New points, half of the prior and half near those that weigh, and log prior − log of what they were drawn of."""
+    count, dimensions = log_tau.shape
+    weights = np.exp(log_weights - logsumexp(log_weights))
+    centre = weights @ log_tau
+    spread = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
+    shape = WIDER**2 * spread + 1e-3 * np.eye(dimensions)
+    points = _points(dimensions + 1, count // 2)
+    radius = np.sqrt(DF / chi2.ppf(points[:, -1], DF))
+    near = centre + radius[:, None] * (norm.ppf(points[:, :-1]) @ np.linalg.cholesky(shape).T)
+    near = np.clip(near, np.log(LEAST) + log_scale, np.log(8.0) + log_scale)
+    both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])
+    # The density of log τ is that of a half-normal times τ.
+    own = both - log_scale
+    prior = (halfnorm.logpdf(np.exp(own)) + own).sum(-1)
+    drawn = multivariate_t(centre, shape, df=DF).logpdf(both)
+    return both, prior - np.logaddexp(prior, drawn)

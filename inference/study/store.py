@@ -1,0 +1,132 @@
+"""What a study leaves in its folder.
+
+    trials.csv        one row a trial, joint and quantity
+    left_out.csv      trials that do not count, with reasons
+    sessions.csv      parameters that each session shares
+    summary.csv, differences.csv                of each factor of two levels or more; with several factors
+                                                summary_<factor>.csv and so on
+    averages_<event>.csv, averages_<event>.png  aligned at each event
+    posteriors/<subject>_<session>.nc           draws of torque, angle, velocity [trial, draw, row, joint], float32,
+                                                time [trial, row] s; NaN after a trial's last row
+    sto/<trial>.sto                             torques of each trial with their 90 % band, for OpenSim
+
+All of it appears together, or none (:func:`invdyn.recordings.whole_set`).
+"""
+
+import re
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from invdyn.inference.study.figure import plot_averages
+from invdyn.inference.study.work import CURVES, said
+from invdyn.recordings import InputError, atomic_path, new_folder, whole_set, write_moments, write_text
+
+
+def save_study(study: Any, folder: Path) -> list[Path]:
+    """Write all of a :class:`.study.Study` and return the files.
+
+    Raises InputError where no trial is left, OSError as it comes.
+    """
+    if not study.posteriors:
+        first = next(iter(study.reasons["reason"]), "")
+        raise InputError(f"no trial of {len(study.trials)} is left; the first one: {first}")
+    files: list[Path] = []
+
+    def place(*parts: str) -> Path:
+        files.append(folder.joinpath(*parts))
+        return files[-1]
+
+    with new_folder(folder), whole_set():
+        for name, table in _tables(study).items():
+            write_text(place(f"{name}.csv"), table.to_csv(index=False, lineterminator="\n"))
+        for event, averages in _averages(study).items():
+            write_text(place(f"averages_{event}.csv"), averages.to_csv(index=False, lineterminator="\n"))
+            with atomic_path(place(f"averages_{event}.png")) as temporary:
+                plot_averages(averages, event, _factors(study)[0]).savefig(temporary, dpi=150)
+        for name in ("posteriors", "sto"):
+            (folder / name).mkdir(exist_ok=True)
+        for name, members in _sessions(study).items():
+            data = session_posterior(study, members)
+            packed = {each: {"zlib": True, "complevel": 4} for each in data.data_vars}
+            with atomic_path(place("posteriors", f"{name}.nc")) as temporary:
+                data.to_netcdf(str(temporary), engine="h5netcdf", encoding=packed)
+        names = _unlike(study.trials[i].name for i in study.posteriors)
+        for name, part in zip(names, study.posteriors.values(), strict=True):
+            known, torque = said(part), part["torque"].numpy().astype(float)
+            low, middle, high = np.quantile(torque, (0.05, 0.5, 0.95), axis=0)
+            shifting = {joint for joint, turns in zip(known["joints"], known["turns"], strict=True) if not turns}
+            moments = part["time"].numpy(), middle, low, high, known["joints"], shifting
+            write_moments(place("sto", f"{name}.sto"), *moments)
+    return files
+
+
+def session_posterior(study: Any, members: list[int]) -> xr.Dataset:
+    """Draws of the trials at these places, which have the same joints."""
+    parts = [study.posteriors[place] for place in members]
+    known = said(parts[0])
+    rows, draws = max(len(part["time"]) for part in parts), len(parts[0]["torque"])
+    variables = {}
+    for name in CURVES:
+        whole = np.full((len(parts), draws, rows, len(known["joints"])), np.nan, np.float32)
+        for values, part in zip(whole, parts, strict=True):
+            values[:, : len(part["time"])] = part[name].numpy()
+        variables[name] = (["trial", "draw", "row", "joint"], whole, {"units": known["units"][name]})
+    time = np.full((len(parts), rows), np.nan)
+    for values, part in zip(time, parts, strict=True):
+        values[: len(part["time"])] = part["time"].numpy()
+    trials = [study.trials[place] for place in members]
+    labels = {name: ("trial", [trial.factors.get(name, "") for trial in trials]) for name in _factors(study)}
+    data = xr.Dataset(
+        {**variables, "time": (["trial", "row"], time, {"units": "s"})},
+        coords={"trial": [trial.name for trial in trials], "joint": known["joints"], **labels},
+    )
+    return data.assign_attrs(subject=trials[0].subject, session=trials[0].session, method=study.how.method)
+
+
+def _unlike(names: Iterable[str]) -> list[str]:
+    """Names as parts of files' names, each unlike any other."""
+    found: list[str] = []
+    for name in names:
+        own = re.sub(r"[^\w.-]+", "_", name) or "_"
+        found.append(own if own not in found else f"{own}-{len(found)}")
+    return found
+
+
+def _factors(study: Any) -> list[str]:
+    return list(dict.fromkeys(name for trial in study.trials for name in trial.factors))
+
+
+def _sessions(study: Any) -> dict[str, list[int]]:
+    """By name of its file, places of a session's trials; of bodies with other joints in files of their own."""
+    found: dict[tuple, list[int]] = {}
+    for place, part in study.posteriors.items():
+        trial = study.trials[place]
+        found.setdefault((trial.subject, trial.session, *said(part)["joints"]), []).append(place)
+    return dict(zip(_unlike(f"{subject}_{session}" for subject, session, *_ in found), found.values(), strict=True))
+
+
+def _tables(study: Any) -> dict[str, pd.DataFrame]:
+    tables = {"trials": study.table, "left_out": study.reasons, "sessions": study.parameters}
+    factors = _factors(study)
+    for factor, name in zip(factors, _unlike(factors), strict=True):
+        ending = "" if len(factors) == 1 else f"_{name}"
+        if len(study.posteriors) > 1:
+            tables[f"summary{ending}"] = study.summary(factor)
+            if len(set(study.table[factor]) - {""}) > 1:
+                tables[f"differences{ending}"] = study.difference(factor)
+    return tables
+
+
+def _averages(study: Any) -> dict[str, pd.DataFrame]:
+    """By event, of the first factor; none of an event that too few trials have."""
+    found = {}
+    for event in sorted({name for trial in study.trials for name in trial.events}):
+        with suppress(InputError):
+            found[event] = study.averages(event, _factors(study)[0])
+    return found

@@ -1,0 +1,174 @@
+"""What is done with one trial, and with one session, each a part that any worker can do (:mod:`.distribute`).
+
+First each trial is fitted alone (:func:`fit_trial`). Those of a session that their model explains then share their
+parameters (:func:`share_session`). At last each trial has its posterior at what its session shares
+(:func:`infer_trial`). A trial is left out, with the reason, where
+
+* it cannot be read, bound to its body, or fitted;
+* its model does not explain it (:mod:`.explained`), alone or at the session's parameters;
+* the method says that its evidence is not usable.
+
+An error in one trial stays with that trial. Results are tensors by name, as checkpoints hold them; words are bytes.
+"""
+
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.execution.distribute import Tensors
+from invdyn.inference.fitting.marginal_likelihood import LogParameters
+from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed, phi_of
+from invdyn.inference.plausible_for_body import put_right
+from invdyn.inference.posterior.explained import unexplained
+from invdyn.inference.posterior.gap_branches import fit_over_gaps
+from invdyn.inference.posterior.initialise import Problem, arm_problem
+from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.inference.study.quantities import quantities, statistics
+from invdyn.inference.study.trial import How, Trial
+from invdyn.inference.task import Task, at_start, free_parameters
+from invdyn.recordings.errors import first_line
+
+VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
+Report = Callable[[int, int], None] | None
+
+
+def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
+    """Fitted parameters ("value <name>"), the mode ("path"), and words: notes, or why it is left out."""
+
+    def work() -> Tensors:
+        problem, free = bound(trial, how)
+        found, doubts = fit_over_gaps(at_start(problem, free), problem.observations, free, None, problem.origin)
+        if reasons := unexplained(replace(problem, model=found.model), found.path):
+            return _left_out(reasons[0])
+        values = {f"{VALUE}{f.name}": found.model.parameters[f.name] for f in free}
+        return {**values, "path": found.path, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
+
+    return _guarded(work, progress)
+
+
+NOT_SETTLED = "the fit did not settle"
+
+
+def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
+    """Parameters by the summed evidence ("value <name>"), the spread of their φ ("sd"), "log_evidence" (N,)."""
+
+    def work() -> Tensors:
+        problems, frees = zip(*(bound(trial, how) for trial in trials), strict=True)
+        free = frees[0]
+        if not free or len(trials) == 1:
+            own = {name: value for name, value in fits[0].items() if name.startswith(VALUE)}
+            return {**own, **words(notes=[])}
+        models = at_common_start([at_start(each, free) for each in problems], free)
+        parameters = LogParameters(models[0].to(dtype=torch.float64), free)
+        alone = [phi_of(parameters, {f.name: fit[f"{VALUE}{f.name}"] for f in free}) for fit in fits]
+        found = fit_summed(
+            models,
+            [each.observations for each in problems],
+            free,
+            starts=[fit["path"] for fit in fits],
+            phi=np.median(alone, axis=0),  # one trial that is far off does not move it
+        )
+        shared = {f"{VALUE}{f.name}": found.models[0].parameters[f.name] for f in free}
+        sd = torch.as_tensor(np.sqrt(np.diagonal(found.covariance)))
+        notes = [] if found.converged else [f"{NOT_SETTLED} that the session shares"]
+        return {**shared, "sd": sd, "log_evidence": torch.as_tensor(found.log_evidence), **words(notes=notes)}
+
+    return _guarded(work, progress)
+
+
+def infer_trial(
+    trial: Trial, how: How, fit: Tensors, shared: Tensors, seed: int, *, progress: Report = None
+) -> Tensors:
+    """Draws that are kept (R, T, K), mean and sd of the torque (T, K), "statistics" (Q, K, 5), and words."""
+
+    def work() -> Tensors:
+        problem, free = bound(trial, how)
+        values = {f.name: shared[f"{VALUE}{f.name}"] for f in free}
+        fitted = replace(problem, model=at_start(problem, free).to(dtype=torch.float64).replace(**values))
+        path = gauss_newton(fitted.model, problem.observations.double(), start=fit["path"]).path
+        if reasons := unexplained(fitted, path):
+            return _left_out(f"at its session's parameters {reasons[0]}")
+        record = {"fitted": {name: value.tolist() for name, value in values.items()}}
+        task = Task(fitted, path, how.sizes, seed, record, None, problem, tuple(free))
+        idata = task.run(how.method)
+        if note := evidence_note(idata):
+            return _left_out(f"the evidence of {how.method} is {note}")
+        posterior = idata["posterior"]
+        drawn = {
+            name: posterior[name].transpose("chain", "draw", "time", "joint").values.reshape(-1, *path_shape(posterior))
+            for name in CURVES
+        }
+        found = quantities(idata, trial.events)
+        kept = np.linspace(0, len(drawn["torque"]) - 1, min(how.stored, len(drawn["torque"]))).round().astype(int)
+        tensors = {name: torch.as_tensor(each[kept].astype(np.float32)) for name, each in drawn.items()}
+        tensors |= {"time": torch.as_tensor(posterior["time"].values), "statistics": torch.as_tensor(statistics(found))}
+        tensors |= {"mean": torch.as_tensor(drawn["torque"].mean(0)), "spread": torch.as_tensor(drawn["torque"].std(0))}
+        turns = idata["constant_data"].get("turns")
+        return tensors | words(
+            notes=[],
+            quantities={name: unit for name, (_, unit) in found.items()},
+            joints=[str(name) for name in posterior["joint"].values],
+            turns=[True] * posterior.sizes["joint"] if turns is None else [bool(each) for each in turns.values],
+            units={name: str(posterior[name].attrs["units"]) for name in CURVES},
+        )
+
+    return _guarded(work, progress)
+
+
+def path_shape(posterior: Any) -> tuple[int, int]:
+    """(T, K) of a posterior."""
+    return posterior.sizes["time"], posterior.sizes["joint"]
+
+
+def bound(trial: Trial, how: How) -> tuple[Problem, list[Any]]:
+    """The trial's problem, and what of it is fitted. Raises as :func:`.arm_problem` does."""
+    assert trial.recording is not None
+    assert trial.body is not None
+    problem = arm_problem(
+        put_right(trial.recording, trial.body),
+        trial.body.with_uncertainty(),
+        parameters=how.settings,
+        learn_lengths=how.learn_lengths,
+        **{"moving_base": True, **how.binding},
+    )
+    return problem, free_parameters(problem, tuple(how.settings or ()), how.learn_lengths)
+
+
+def words(**values: Any) -> Tensors:
+    """Values that JSON can hold, as a tensor of bytes."""
+    return {WORDS: torch.frombuffer(bytearray(json.dumps(values).encode()), dtype=torch.uint8)}
+
+
+def said(part: Tensors) -> dict[str, Any]:
+    """What :func:`words` was given."""
+    return json.loads(bytes(part[WORDS].numpy()))
+
+
+def _left_out(reason: str) -> Tensors:
+    return words(left_out=" ".join(reason.split()))
+
+
+def _guarded(work: Callable[[], Tensors], progress: Report) -> Tensors:
+    """The result, or why there is none; one trial's error is told and does not stop the others."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what matters of a trial stands in its words
+            found = work()
+    except Exception as error:
+        kind = "" if isinstance(error, ValueError | ArithmeticError) else f"{type(error).__name__}: "
+        found = _left_out(kind + first_line(error))
+    if progress is not None:
+        progress(1, 1)
+    return found
+
+
+def parameters_of(part: Tensors) -> dict[str, Tensor]:
+    """Values of parameters by name."""
+    return {name.removeprefix(VALUE): value for name, value in part.items() if name.startswith(VALUE)}

@@ -1,0 +1,81 @@
+"""Parameters that data sets share, against the Kalman filter's evidences added up by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracles
+import pytest
+import torch
+from scipy.optimize import minimize
+
+from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
+from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed, phi_of
+
+FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
+LENGTHS = (20, 35, 27)
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return oracles.random_chain(seed=6)
+
+
+@pytest.fixture(scope="module")
+def sets(chain):
+    return [oracles.with_gaps(chain.simulate(steps, seed=steps)[1]) for steps in LENGTHS]
+
+
+def kalman(chain, y, phi):
+    return oracles.kalman(replace(chain, Q=chain.Q * math.exp(2 * phi[0]), R=chain.R * math.exp(2 * phi[1])), y)[0]
+
+
+def fitted(chain, sets):
+    models = [chain.model(len(y)) for y in sets]
+    return fit_summed(models, [torch.as_tensor(y) for y in sets], FREE, starts=[None] * len(sets))
+
+
+def test_the_optimum_is_that_of_evidences_added_by_hand(chain, sets):
+    def summed(phi):  # the prior once, whatever the number of data sets
+        return 0.5 * ((phi[0] / 2.0) ** 2 + (phi[1] / 0.7) ** 2) - sum(kalman(chain, y, phi) for y in sets)
+
+    best = minimize(summed, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8})
+    found = fitted(chain, sets)
+    sd = np.sqrt(np.diagonal(found.covariance))
+    assert found.converged
+    assert (np.abs(found.phi - best.x) < 0.2 * sd).all()
+    assert found.log_evidence == pytest.approx([kalman(chain, y, found.phi) for y in sets], abs=1e-6)
+
+    h = 1e-3 * np.eye(2)
+    hessian = [
+        [summed(best.x + a + b) - summed(best.x + a - b) - summed(best.x - a + b) + summed(best.x - a - b) for b in h]
+        for a in h
+    ]
+    exact = np.linalg.inv(np.array(hessian) / 4e-6)
+    assert found.covariance == pytest.approx(exact, abs=0.15 * exact.max())
+
+
+def test_paths_stay_each_set_s_own(chain, sets):
+    found = fitted(chain, sets)
+    for y, path in zip(sets, found.paths, strict=True):
+        scaled = replace(chain, Q=chain.Q * math.exp(2 * found.phi[0]), R=chain.R * math.exp(2 * found.phi[1]))
+        assert path.numpy() == pytest.approx(oracles.rts(scaled, y)[0], abs=1e-6)
+
+
+def test_models_of_other_starts_are_refused(chain, sets):
+    models = [chain.model(len(y)) for y in sets]
+    models[1] = models[1].replace(emission_root=2.0 * models[1].parameters["emission_root"])
+    with pytest.raises(ValueError, match="at_common_start"):
+        fit_summed(models, [torch.as_tensor(y) for y in sets], FREE, starts=[None] * len(sets))
+
+
+def test_the_common_start_is_the_geometric_mean_and_phi_counts_from_it(chain):
+    free = [Free("emission_root", tied=True)]
+    model = chain.model(5)
+    root = model.parameters["emission_root"]
+    (first, second) = at_common_start([model, model.replace(emission_root=4.0 * root)], free)
+    positive = root > 0
+    assert first.parameters["emission_root"][positive].numpy() == pytest.approx(2 * root[positive].numpy())
+    assert torch.equal(first.parameters["emission_root"], second.parameters["emission_root"])
+    parameters = LogParameters(model, [Free("emission_root", entries=(0,))])
+    assert phi_of(parameters, {"emission_root": 3.0 * root}) == pytest.approx([math.log(3.0)])

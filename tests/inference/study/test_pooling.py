@@ -1,0 +1,121 @@
+"""Partial pooling against dense Gaussians and integrals on a grid."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import halfnorm, norm
+
+from invdyn.inference.study.pooling import Mixture, _given, groupings, pool
+
+SUBJECT = np.repeat(["a", "b", "c"], 4)
+CONDITION = np.tile(["x", "x", "y", "y"], 3)
+ONE = np.full(12, "1")
+RNG = np.random.default_rng(3)
+ERRORS = RNG.uniform(0.1, 0.4, 12)
+ESTIMATES = np.repeat([0.0, 1.0, 0.4], 4) + 0.7 * (CONDITION == "y") + RNG.normal(0, 0.3, 12)
+
+
+def dense(tau, y, s, x, groups):
+    """log p(y | τ) and moments of μ by the covariance (n, n) of y, as generalised least squares has them."""
+    cover = np.diag(tau[0] ** 2 + s**2)
+    for spread, number in zip(tau[1:], groups, strict=True):
+        cover += spread**2 * (number[:, None] == number[None, :])
+    inverse = np.linalg.inv(cover)
+    information = x.T @ inverse @ x
+    mean = np.linalg.solve(information, x.T @ inverse @ y)
+    off = y - x @ mean
+    log = -0.5 * (np.linalg.slogdet(cover)[1] + np.linalg.slogdet(information)[1] + off @ inverse @ off)
+    return log, mean, np.linalg.inv(information)
+
+
+def design(groups):
+    x = np.stack([CONDITION == "x", CONDITION == "y"], axis=1).astype(float)
+    return x, np.concatenate([x, *(np.eye(z.max() + 1)[z] for z in groups)], axis=1)
+
+
+def test_given_the_spreads_it_is_the_dense_gaussian():
+    groups = list(groupings(CONDITION, SUBJECT, ONE).values())
+    assert len(groups) == 2
+    x, whole = design(groups)
+    taus = np.array([[0.3, 0.8, 0.2], [0.05, 0.1, 1.5], [1.0, 2.0, 0.01]])
+    sizes = np.array([z.max() + 1 for z in groups])
+    log, means, covariances = _given(np.log(taus), ESTIMATES, ERRORS, whole, 2, sizes)
+    exact = [dense(tau, ESTIMATES, ERRORS, x, groups) for tau in taus]
+    assert log - log[0] == pytest.approx([each[0] - exact[0][0] for each in exact], abs=1e-8)
+    assert means == pytest.approx(np.array([each[1] for each in exact]), abs=1e-8)
+    assert covariances == pytest.approx(np.array([each[2] for each in exact]), abs=1e-8)
+
+
+def test_the_spreads_are_integrated_out_as_on_a_grid():
+    """Three spreads on 24³ points of their priors, half-normal with the sds as the file says."""
+    within = (ESTIMATES - np.repeat(ESTIMATES.reshape(3, 4).mean(1), 4)).std()
+    groups = list(groupings(CONDITION, SUBJECT, ONE).values())
+    x, _ = design(groups)
+    points = halfnorm.ppf((np.arange(24) + 0.5) / 24)
+    grid = np.array(np.meshgrid(within * points, ESTIMATES.std() * points, within * points)).reshape(3, -1).T
+    parts = [dense(tau, ESTIMATES, ERRORS, x, groups) for tau in grid]
+    logs = np.array([each[0] for each in parts])
+    weights = np.exp(logs - logsumexp(logs))
+    contrast = np.array([-1.0, 1.0])
+    exact = Mixture(
+        weights,
+        np.array([contrast @ each[1] for each in parts]),
+        np.sqrt([contrast @ each[2] @ contrast for each in parts]),
+    )
+    found = pool(ESTIMATES, ERRORS, CONDITION, SUBJECT, ONE).difference("x", "y")
+    assert found.mean == pytest.approx(exact.mean, abs=0.05 * exact.sd)
+    assert found.sd == pytest.approx(exact.sd, rel=0.06)
+    for share in (0.05, 0.95):
+        assert found.quantile(share) == pytest.approx(exact.quantile(share), abs=0.1 * exact.sd)
+    assert found.direction == pytest.approx(exact.direction, abs=0.01)
+
+
+def test_trials_known_exactly_and_alike_leave_the_plain_difference():
+    y = np.array([1.0, 1.0, 3.0, 3.0]) + np.array([-1e-3, 1e-3, -1e-3, 1e-3])
+    pooled = pool(y, np.full(4, 1e-3), ["x", "x", "y", "y"], ["a"] * 4, ["1"] * 4)
+    own = pooled.difference("x", "y")
+    assert own.mean == pytest.approx(2.0, abs=1e-3)
+    assert own.quantile(0.05) < 2.0 < own.quantile(0.95)
+    assert own.direction > 0.99
+    assert pooled.average("y").mean == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_further_trial_is_less_sure_than_the_average():
+    pooled = pool(ESTIMATES, ERRORS, CONDITION, SUBJECT, ONE)
+    assert pooled.new_trial("x").sd > pooled.average("x").sd
+
+
+def test_units_do_not_matter():
+    own = pool(ESTIMATES, ERRORS, CONDITION, SUBJECT, ONE).difference("x", "y")
+    other = pool(1000 * ESTIMATES + 5, 1000 * ERRORS, CONDITION, SUBJECT, ONE).difference("x", "y")
+    assert other.mean == pytest.approx(1000 * own.mean)
+    assert other.quantile(0.05) == pytest.approx(1000 * own.quantile(0.05))
+
+
+@pytest.mark.parametrize(
+    ("condition", "subject", "session", "names"),
+    [
+        ("xxyy", "aaaa", "1111", []),
+        ("xyxy", "aabb", "1111", ["subject"]),  # a cell of one trial: its own spread is the trial's
+        ("xxyyxxyy", "aaaabbbb", "1" * 8, ["subject", "subject × condition"]),
+        ("xxyyxxyy", "aaaaaaaa", "11223344", ["session"]),  # a session has one condition
+        ("xxyy", "aabb", "1111", []),  # a subject has one condition, and nobody else has it
+    ],
+)
+def test_groupings_are_those_that_the_design_tells_apart(condition, subject, session, names):
+    assert list(groupings(condition, subject, session)) == names
+
+
+def test_quantiles_of_a_mixture_are_those_of_its_distribution():
+    one = Mixture(np.array([1.0]), np.array([2.0]), np.array([0.5]))
+    assert one.quantile(0.95) == pytest.approx(norm.ppf(0.95, 2.0, 0.5))
+    two = Mixture(np.array([0.5, 0.5]), np.array([-3.0, 3.0]), np.array([0.1, 0.1]))
+    assert two.mean == pytest.approx(0.0)
+    assert two.sd == pytest.approx(np.sqrt(9.01))
+    assert two.direction == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("estimates", [[1.0], [1.0, np.nan]])
+def test_too_little_is_refused(estimates):
+    with pytest.raises(ValueError, match="2 trials or more"):
+        pool(np.array(estimates), np.ones(len(estimates)), "xy"[: len(estimates)], "ab", "11")

@@ -1,0 +1,46 @@
+"""Onset and values at events of paths whose answers are plain."""
+
+import numpy as np
+import pytest
+
+from invdyn.inference.study.quantities import STATISTICS, at_times, onset, statistics
+
+TIME = np.linspace(0.0, 1.0, 11)
+
+
+def test_onset_is_the_last_row_under_a_tenth_of_the_peak():
+    bump = np.array([0, 0.5, 0.05, 0.3, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.1])
+    both = np.stack([bump, -bump], axis=-1)[None]
+    assert onset(TIME, both) == pytest.approx(np.full((1, 2), 0.2))
+
+
+def test_a_trial_that_begins_under_load_has_no_onset():
+    assert np.isnan(onset(TIME, np.linspace(1.0, 2.0, 11)[None, :, None])).all()
+
+
+def test_values_at_events_are_linear_between_rows_and_missing_outside():
+    path = np.stack([TIME, 3 * TIME], axis=-1)[None]
+    found = at_times(TIME, path, np.array([0.0, 0.37, 1.0, 1.01, np.nan]))
+    assert found[0, :3] == pytest.approx(np.array([[0.0, 0.0], [0.37, 1.11], [1.0, 3.0]]))
+    assert np.isnan(found[0, 3:]).all()
+
+
+def drawn(peaks):
+    peaks = np.asarray(peaks, float)[:, None]
+    return {"peak": (peaks, "N·m"), "peak_time": (peaks * 0 + 0.5, "s"), "impulse": (peaks, "N·m·s")}
+
+
+def test_a_peak_of_either_sign_is_missing_and_the_impulse_is_not():
+    numbers = statistics(drawn([2.0] * 80 + [-2.0] * 20))
+    assert np.isnan(numbers[:2]).all()
+    assert numbers[2, 0, STATISTICS.index("mean")] == pytest.approx(1.2)
+    numbers = statistics(drawn([2.0] * 99 + [-2.0]))
+    assert np.isfinite(numbers).all()
+
+
+def test_what_most_draws_lack_is_missing():
+    some = np.where(np.arange(100) < 49, 1.0, np.nan)[:, None]
+    values = {**drawn(np.ones(100)), "onset": (some, "s")}
+    assert np.isnan(statistics(values)[-1]).all()
+    values["onset"] = (np.where(np.arange(100) < 60, np.arange(100.0), np.nan)[:, None], "s")
+    assert statistics(values)[-1, 0, 0] == pytest.approx(29.5)
