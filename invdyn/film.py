@@ -122,10 +122,11 @@ def film_frames(
         cursors = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
         moving: list[Any] = [*(artist for picture in pictures for artist in picture.artists), clock, *cursors]
         if overlay is not None:
-            height, width = overlay.size
-            film, axes = overlay.pictures(shown), arm_axes[0]
-            across, down = axes.get_xlim(), axes.get_ylim()
-            beneath = axes.imshow(np.zeros((1, 1, 3)), extent=(-0.5, width - 0.5, height - 0.5, -0.5), zorder=0)
+            axes, (height, width) = arm_axes[0], overlay.size
+            (left, right), (bottom, top) = across, down = axes.get_xlim(), axes.get_ylim()
+            box = max(0, int(left)), max(0, int(top)), min(width, int(right) + 2), min(height, int(bottom) + 2)
+            film, edges = overlay.pictures(shown, box), np.array(box) - 0.5  # a pixel's centre is a whole number
+            beneath = axes.imshow(np.zeros((1, 1, 3)), extent=tuple(edges[[0, 2, 3, 1]]), zorder=0)
             axes.set(xlim=across, ylim=down, xlabel="u (px)", ylabel="v (px)")
             moving.insert(0, beneath)
         for artist in moving:

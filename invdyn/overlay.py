@@ -18,7 +18,7 @@ from invdyn.recordings import InputError, Recording, read_keypoint_csv
 from invdyn.recordings.reading import TrackedFilm
 from invdyn.recordings.tracking.film import Film, read_pictures
 
-MAX_SIDE = 720  # px of the pictures' longer side, as drawn
+MAX_SIDE = 720  # px of the longer side of what is drawn
 
 
 class Overlay:
@@ -63,15 +63,22 @@ class Overlay:
         """Points (…, T, P, 2) m, y up, in px, v down."""
         return self._origin[:, None] + self.scale * points * [1.0, -1.0]
 
-    def pictures(self, rows: np.ndarray) -> Iterator[np.ndarray]:
-        """RGB (h, w, 3) of rows, rising; some are scaled down. Raises InputError when the film is shorter."""
-        factor = min(1.0, MAX_SIDE / max(self.size))
+    def pictures(self, rows: np.ndarray, box: tuple[int, int, int, int]) -> Iterator[np.ndarray]:
+        """RGB (h, w, 3) of what lies in a box (left, top, right, bottom), px, in rows, rising; large ones scaled down.
+
+        Raises InputError when the film is shorter.
+        """
+        left, top, right, bottom = box
+        factor = min(1.0, MAX_SIDE / max(right - left, bottom - top))
         size = round(factor * self.size[0]), round(factor * self.size[1])
+        down, across = (
+            slice(*np.round(factor * np.array(ends)).astype(int)) for ends in ((top, bottom), (left, right))
+        )
         numbers = self._numbers[rows]
         own, again = np.unique(numbers, return_counts=True)  # rows that bridge a gap may share a picture
         for picture, count in zip(read_pictures(self.film, own.tolist(), size), again, strict=True):
             for _ in range(count):
-                yield picture
+                yield picture[down, across]
 
 
 def _filled(track: np.ndarray) -> np.ndarray:

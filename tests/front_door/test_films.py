@@ -200,9 +200,11 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
     overlay = Overlay(Film("f.mov"), tracks, idata)
     assert overlay.scale == pytest.approx(7.0)
     np.testing.assert_allclose(overlay.pixels(observed), pixels, atol=1e-6)
-    (first, later) = overlay.pictures(np.array([3, 60]))
+    (first, later) = overlay.pictures(np.array([3, 60]), (0, 0, 40, 40))
     np.testing.assert_array_equal(first, picture(shared[2][3]))
     np.testing.assert_array_equal(later, picture(shared[2][60]))
+    (part,) = overlay.pictures(np.array([60]), (5, 8, 25, 40))
+    np.testing.assert_array_equal(part, later[8:40, 5:25])
 
 
 @pytest.mark.parametrize(
