@@ -199,7 +199,7 @@ def of_posterior(idata: az.InferenceData, name: str) -> View:
         summary=summary_text(idata),
         foot=_thinned(rows, points.shape[1]),
     )
-    for group in ("angle", "torque" if torque else "velocity"):
+    for group in ("torque" if torque else "velocity", "angle"):
         bands = quantiles(idata, group)[:, rows]
         view.notes[group] = "Median, with bands that hold 50 and 90 % of the probability."
         for k, joint in enumerate(joints):

@@ -81,7 +81,7 @@ def test_the_numbers_at_a_time_are_the_posteriors(browser, make_posterior, tmp_p
     assert requests(browser, page) == {page.as_uri()}
     go(browser, 33)
     assert browser.find_element("id", "now-time").text == f"{idata.posterior.time.values[33]:.2f} s"
-    for column, group in enumerate(("angle", "torque")):
+    for column, group in enumerate(("torque", "angle")):
         for joint in range(2):
             low, _, median, _, high = quantiles(idata, group)[:, 33, joint]
             told = value(cells(browser)[joint][column])
@@ -167,8 +167,8 @@ def test_the_table_has_the_curves(browser, make_posterior, tmp_path):
     lines = browser.find_elements("css selector", "#all tbody tr")
     assert len(lines) == 75
     heads = [head.text for head in browser.find_elements("css selector", "#all thead th")]
-    assert heads[:3] == ["time, s", "shoulder angle, rad", "elbow angle, rad"]
-    low, _, median, _, high = quantiles(idata, "torque")[:, 20, 1]
+    assert heads[:3] == ["time, s", "shoulder torque, N·m", "elbow torque, N·m"]
+    low, _, median, _, high = quantiles(idata, "angle")[:, 20, 1]
     last = lines[10].find_elements("tag name", "td")[-1].text
     np.testing.assert_allclose(value(last), [median, low, high], atol=0.06 * (high - low))
 
@@ -264,7 +264,7 @@ def test_missing_stays_missing_and_numbers_are_as_fine_as_needed(make_posterior,
     np.testing.assert_array_equal(np.isnan(seen), np.isnan(wanted))
     np.testing.assert_allclose(seen, wanted, atol=1e-3)
     middle = np.array(data["panels"][0]["sides"][0]["middle"])
-    np.testing.assert_allclose(middle, quantiles(idata, "angle")[2, :, 0], atol=1e-3 * np.ptp(middle))
+    np.testing.assert_allclose(middle, quantiles(idata, "torque")[2, :, 0], atol=1e-3 * np.ptp(middle))
 
 
 def test_what_is_no_result_is_refused(tmp_path, found, run):
