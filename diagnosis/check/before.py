@@ -7,13 +7,16 @@ diagnosis is for.
 
 import warnings
 
+import numpy as np
+
 from invdyn.diagnosis.check.check import Wrong, check
-from invdyn.diagnosis.problem.conventions import SIGNS, refuse
+from invdyn.diagnosis.problem.conventions import refuse
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
 from invdyn.recordings.reading import Reading
 
+SIGNS = ("torque sign", "direction", "angle sign")
 NOT_SURE = ("held",)
 """Mistakes of rows that cost precision, and mislead nobody."""
 
@@ -78,8 +81,10 @@ def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None
 
 
 def _sure(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> bool:
-    """As :mod:`..problem.conventions` is: of signs only under gravity. A gear has a gear's size."""
+    """Whether a mistake is far larger than what it leaves. Of signs only under gravity; a gear has a gear's size."""
     sure = rules.check.sure_misfit
     certain = wrong.kind not in SIGNS or bool(body.parameters().gravity.any())
     certain &= wrong.kind != "scale" or wrong.value < rules.check.max_gear
-    return certain and wrong.before >= sure and wrong.after <= min(rules.check.sure_remaining * wrong.before, sure)
+    # no effect and no numbers of a body make up for a sign
+    size = np.fmax(wrong.before, wrong.misfit) if wrong.kind in SIGNS else wrong.before
+    return certain and size >= sure and wrong.after <= min(rules.check.sure_remaining * size, sure)

@@ -2,7 +2,7 @@
 
 Each step needs the one before. First come rows that are no readings (:mod:`.rows`), then units, by their size
 (:mod:`.units`). Then come signs, zeros, columns, gears and offsets, by torques against motion
-(:mod:`..problem.mistakes`), and where none of these is wrong, the times of commands (:mod:`.command_times`). Each is
+(:mod:`.mistakes`), and where none of these is wrong, the times of commands (:mod:`.command_times`). Each is
 put right before the next is looked for. Base parameters (:mod:`.excitation`) and effects (:mod:`.visible`) come last.
 """
 
@@ -14,11 +14,11 @@ import numpy as np
 
 from invdyn.diagnosis.check.command_times import late_commands
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
+from invdyn.diagnosis.check.mistakes import Found, Mistake, find, fixed, gears, left_by, units
 from invdyn.diagnosis.check.rows import wrong_rows
+from invdyn.diagnosis.check.torque_fit import Explained, TorqueFit
+from invdyn.diagnosis.check.torque_regression import Motion, as_large
 from invdyn.diagnosis.check.units import idle, motions, wrong_units
-from invdyn.diagnosis.problem.mistakes import Found, Mistake, find, fixed, gears, left_by, units
-from invdyn.diagnosis.problem.torque_fit import Explained, TorqueFit
-from invdyn.diagnosis.problem.torque_regression import Motion, as_large
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -36,7 +36,8 @@ BY_TORQUES = "signs, zeros, exchanged columns and gears of joints"
 class Wrong:
     """A mistake in the words of the user: its kind, the joints' names, what, the remedy, and what else it might be.
 
-    `before` and `after` are the shares of the torque that the motion does not need, NaN without torques.
+    `before` and `after` are the shares of the torque that the motion does not need, NaN without torques. `misfit` is
+    that of all torques as they were, with whatever numbers of the body fit them best.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class Wrong:
     before: float = float("nan")
     after: float = float("nan")
     others: tuple[str, ...] = ()
+    misfit: float = float("nan")
 
     @property
     def by_size(self) -> bool:
@@ -246,4 +248,4 @@ def _in_words(mistake: Mistake, joints: Sequence[str], found: Found | None = Non
     if found is None:
         return wrong
     others = tuple(dict.fromkeys(words(other) for other in found.others))[:2]
-    return replace(wrong, before=found.before, after=found.after, others=others)
+    return replace(wrong, before=found.before, after=found.after, others=others, misfit=found.misfit)

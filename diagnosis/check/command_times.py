@@ -4,7 +4,7 @@
     u(t − d₀ − r (t − t₀))         r ≠ 0: clocks that drift
     u linear between its changes   a target that was logged more rarely than the servo got it
 
-Angles stay as they are, so that each is one solution of the equations that :mod:`..problem.torque_fit` keeps. A delay
+Angles stay as they are, so that each is one solution of the equations that :mod:`.torque_fit` keeps. A delay
 that a motor may have is an effect, and left to the diagnosis.
 
 Shapes: T rows, R rows of a motion, K joints.
@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from invdyn.diagnosis.problem.torque_fit import TorqueFit, share
-from invdyn.diagnosis.problem.torque_regression import Motion
+from invdyn.diagnosis.check.torque_fit import TorqueFit, share
+from invdyn.diagnosis.check.torque_regression import Motion
 from invdyn.diagnosis.rules import Rules
 
 

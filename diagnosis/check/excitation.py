@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from invdyn.diagnosis.problem.regressors import base_columns, link_regressors, nominal_link_numbers
-from invdyn.diagnosis.problem.torque_regression import Motion, joint_regressors
+from invdyn.diagnosis.check.torque_regression import Motion, joint_regressors
+from invdyn.diagnosis.regression.regressors import base_columns, link_regressors, nominal_link_numbers
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics

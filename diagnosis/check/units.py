@@ -1,7 +1,7 @@
 """Units of a log that are wrong: by the size of its numbers, and by its torques where the unit was declared.
 
 A unit that was not declared is wrong where its numbers cannot be the body's, and can in another one
-(:mod:`..problem.mistakes`). One that was declared is wrong where, besides that, the torques are far from what the
+(:mod:`.mistakes`). One that was declared is wrong where, besides that, the torques are far from what the
 motion asks for, and near it in the other unit. One mistake comes before two; of several that will do, that one is taken
 with which the torques fit best.
 
@@ -16,11 +16,11 @@ from itertools import combinations
 
 import numpy as np
 
+from invdyn.diagnosis.check.mistakes import Mistake, units
+from invdyn.diagnosis.check.robot_terms import RobotTerms
+from invdyn.diagnosis.check.torque_fit import TorqueFit
+from invdyn.diagnosis.check.torque_regression import Motion, smoothings
 from invdyn.diagnosis.problem.angles import recorded_angles
-from invdyn.diagnosis.problem.mistakes import Mistake, units
-from invdyn.diagnosis.problem.robot_terms import RobotTerms
-from invdyn.diagnosis.problem.torque_fit import TorqueFit
-from invdyn.diagnosis.problem.torque_regression import Motion, smoothings
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.plausible_for_body import check_fits, slides
 from invdyn.models import ArticulatedBody

@@ -1,8 +1,7 @@
-"""Signs and zeros of joints: mistakes in a file that no effect is to be blamed for.
+"""Encoders against keypoints: a mistake in a file that no effect is to be blamed for.
 
-Keypoints say which way a joint turns, and so do torques (:mod:`.torque_regression`). Where those that were given miss
-by far what the motion asks for, and with one sign of one joint or of all, or a zero a quarter of a turn off, they are
-near it, that is what is wrong (:mod:`.mistakes`). `invdyn check` looks for smaller and other mistakes, too.
+Keypoints say which way a joint turns, and from where its angle counts. What torques say of signs and zeros is looked at
+before a diagnosis begins (:mod:`..check.before`).
 
 Shapes: T rows, K joints.
 """
@@ -13,14 +12,9 @@ import warnings
 import numpy as np
 from torch import Tensor
 
-from invdyn.diagnosis.problem.mistakes import fixed, left_by, zero
-from invdyn.diagnosis.problem.torque_fit import TorqueFit
-from invdyn.diagnosis.problem.torque_regression import smoothings
 from invdyn.diagnosis.rules import Rules
 from invdyn.models import ArmModel, Body
 from invdyn.recordings import InputError
-
-SIGNS = ("torque sign", "direction", "angle sign")
 
 
 def refuse(message: str, force: bool) -> str:
@@ -31,28 +25,17 @@ def refuse(message: str, force: bool) -> str:
     return message
 
 
-def check_conventions(
-    name: str, model: ArmModel, observations: Tensor, angle: Tensor, rules: Rules, force: bool = False
-) -> None:
+def check_conventions(name: str, model: ArmModel, observations: Tensor, rules: Rules, force: bool = False) -> None:
     """Refuse the sign or zero of a joint that no robot and camera have at once; see :func:`refuse`.
 
-    ``observations`` (T, O) are the model's, ``angle`` (T, K) a path through them where no encoders are.
+    Of ``observations`` (T, O), the model's, encoders (T, K) are compared with the directions of links that the camera
+    sees, keypoints (T, P, 2). Only links of a chain in the plane have a direction; of another body nothing is checked.
     """
-    observation = model.observation
-    if observation.encoders is not None:
-        angle = observation.of(observation.encoders, observations)
-        if isinstance(model.body, Body) and model.body.is_chain:  # links of a plane have a direction there
-            _check_keypoints(
-                name, model, model.body, observation.points(observations).numpy(), angle.numpy(), rules, force
-            )
-    if model.command is not None and bool(model.command.any()) and bool(model.body_parameters().gravity.any()):
-        _check_torques(name, model, model.command.numpy(), angle.numpy(), rules, force)
-
-
-def _check_keypoints(
-    name: str, model: ArmModel, body: Body, points: np.ndarray, angle: np.ndarray, rules: Rules, force: bool
-) -> None:
-    """Encoders (T, K) against the directions of links that the camera sees, keypoints (T, P, 2)."""
+    observation, body = model.observation, model.body
+    if observation.encoders is None or not (isinstance(body, Body) and body.is_chain):
+        return
+    angle = observation.of(observation.encoders, observations).numpy()
+    points = observation.points(observations).numpy()
     seen = dict(zip(model.observation.tracked, points.swapaxes(0, 1), strict=True))
     seen[-1] = np.broadcast_to(np.array(body.base), (len(points), 2))
     max_offset, max_first = rules.check.max_encoder_offset, rules.check.max_first_offset
@@ -82,34 +65,3 @@ def _check_keypoints(
                 f"{'along x' if k == 0 else 'along the one before'}: subtract the difference from its angles",
                 force,
             )
-
-
-def _check_torques(
-    name: str, model: ArmModel, command: np.ndarray, angle: np.ndarray, rules: Rules, force: bool
-) -> None:
-    """Torques against what the motion (T, K) asks for under each of the mistakes that no effect looks like."""
-    body, fit = model.body, TorqueFit(model.dynamics, model.body)
-    motions = smoothings(body, model.time.numpy(), angle, command, rules=rules)
-    if not motions:
-        return
-    motion = min(motions, key=lambda each: fit.explain(each).misfit)
-    own = fit.explain(motion).misfit
-    if own < rules.check.sure_misfit:
-        return
-    encoders, joints = model.observation.encoders is not None, body.num_joints
-    by_target = () if motion.terms is None else motion.terms.by_target
-    known = [each for each in fixed(joints, encoders, by_target) if each.kind in SIGNS]
-    known += [zero(k, turn * math.pi / 2) for k in range(joints) for turn in (1, 2, -1) if encoders]
-    best, mistake = min(((left_by(e, fit, motion), e) for e in known), key=lambda each: each[0])
-    righted = mistake.right(motion)
-    if best > rules.check.sure_remaining * own or best > rules.check.sure_misfit or righted is None:
-        return
-    if fit.explain(righted).missed(mistake.joints) > rules.check.max_joint_misfit:
-        return
-    names = " and ".join(repr(body.joint_names[k]) for k in mistake.joints)
-    refuse(
-        f"{name}: at joint {names} {mistake.words}, it seems. As they are, the torques differ from those of the "
-        f"motion by {100 * own:.0f} % of their size; corrected, by {100 * best:.0f} %. Correct the file; "
-        "`invdyn check` says more",
-        force,
-    )

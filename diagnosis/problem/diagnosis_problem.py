@@ -199,7 +199,7 @@ def diagnosis_problem(
     _, angle, velocity = model.split(paths[len(paths) // 2])
     if regime.commanded:
         _check_torques(recording.name, model, angle, velocity, rules, force)
-    check_conventions(recording.name, model, problem.observations, angle, rules, force)
+    check_conventions(recording.name, model, problem.observations, rules, force)
     if starts:
         model = model.starting_anew(starts, angle[starts])
     fast = velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt()

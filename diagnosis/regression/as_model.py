@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.problem.regressors import nominal_link_numbers
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.regression.regressors import nominal_link_numbers
 from invdyn.diagnosis.rules import FIXED
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body

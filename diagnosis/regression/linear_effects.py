@@ -6,7 +6,7 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
 
     viscous     q̇                    Coulomb     sgn q̇                 rotor    q̈
     spring      q and a constant     constant    1                     gain     the torque that the file asks for
-    link        Y(q, q̇, q̈) of its m, m c and J (:mod:`..problem.regressors`)
+    link        Y(q, q̇, q̈) of its m, m c and J (:mod:`.regressors`)
 
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
@@ -26,14 +26,14 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.special import erf
 
-from invdyn.diagnosis.problem.regressors import (
+from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.regression.regressors import (
     base_columns,
     filed_torques,
     inverse,
     link_regressors,
     nominal_link_numbers,
 )
-from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.joint_parts import NOTHING

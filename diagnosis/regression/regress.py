@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
-from invdyn.diagnosis.problem.regressors import base_columns, nominal_link_numbers
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, LinearEffects, cutoff_of, linear_effects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
+from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
 from invdyn.diagnosis.regression.weighted_fit import Fitted, correlation_times, left_by, weighted_fit
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 
+from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED
 from invdyn.recordings import InputError
@@ -32,6 +33,16 @@ def test_a_log_that_is_right_is_bound(camera):
         (True, {"zero": (-QUARTER, 0)}, "encoder of joint 'shoulder' and its keypoints differ by -90° all along"),
         (True, {"zero": (0, 0.2)}, "'elbow' and its keypoints differ by 11° all along"),
         (True, {"angle": (1, -1), "torque": (1, -1)}, "encoder of joint 'elbow' turns the other way"),
+    ],
+)
+def test_what_a_camera_shows_is_named(camera, mistake, says):
+    with pytest.raises(InputError, match=says):
+        diagnosis_problem(mistaken(camera, **mistake), ARM)
+
+
+@pytest.mark.parametrize(
+    ("camera", "mistake", "says"),
+    [
         (False, {"zero": (QUARTER, 0)}, r"'shoulder' the angles' zero is \+90° off"),
         (False, {"angle": (1, -1), "torque": (1, -1)}, "'elbow' angles and torques are counted the other way"),
         (False, {"angle": (-1, 1)}, "'shoulder' the angles are counted the other way"),
@@ -39,9 +50,9 @@ def test_a_log_that_is_right_is_bound(camera):
         (False, {"torque": (-1, -1)}, "'shoulder' and 'elbow' the torques have the other sign"),
     ],
 )
-def test_the_mistake_is_named(camera, mistake, says):
+def test_what_torques_show_is_named_before_a_diagnosis_begins(camera, mistake, says):
     with pytest.raises(InputError, match=says):
-        diagnosis_problem(mistaken(camera, **mistake), ARM)
+        check_before(mistaken(camera, **mistake), ARM)
 
 
 def test_a_large_effect_is_no_mistake():

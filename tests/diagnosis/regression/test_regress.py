@@ -8,10 +8,10 @@ import torch
 
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regressors import inverse
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
+from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.dynamics.registry import dynamics_for

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.problem.regressors import filed_torques, inverse
-from invdyn.diagnosis.problem.robot_terms import RobotTerms
+from invdyn.diagnosis.check.robot_terms import RobotTerms
+from invdyn.diagnosis.regression.regressors import filed_torques, inverse
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.recordings.logs.mapping import JointMap

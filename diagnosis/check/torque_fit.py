@@ -25,8 +25,8 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import lsq_linear, nnls
 
-from invdyn.diagnosis.problem.regressors import inverse, link_regressors, nominal_link_numbers, unit_numbers
-from invdyn.diagnosis.problem.torque_regression import Motion, joint_regressors, passive
+from invdyn.diagnosis.check.torque_regression import Motion, joint_regressors, passive
+from invdyn.diagnosis.regression.regressors import inverse, link_regressors, nominal_link_numbers, unit_numbers
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.dynamics.interface import Dynamics
 

@@ -27,9 +27,9 @@ from operator import methodcaller
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from invdyn.diagnosis.problem.robot_terms import RobotTerms, servos
-from invdyn.diagnosis.problem.torque_fit import Explained, TorqueFit, share
-from invdyn.diagnosis.problem.torque_regression import Motion
+from invdyn.diagnosis.check.robot_terms import RobotTerms, servos
+from invdyn.diagnosis.check.torque_fit import Explained, TorqueFit, share
+from invdyn.diagnosis.check.torque_regression import Motion
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.inference.plausible_for_body import slides
 from invdyn.recordings.logs.mapping import SHIFTS
@@ -70,13 +70,14 @@ class Found:
     """A mistake, and others that would do it nearly as well.
 
     `before` and `after` are what its joints' torques miss of what the motion asks of them, without and with the remedy,
-    of a body with the numbers that fit once all mistakes are put right.
+    of a body with the numbers that fit once all mistakes are put right. `misfit` is that of all torques as they were.
     """
 
     mistake: Mistake
     before: float
     after: float
     others: tuple[Mistake, ...] = ()
+    misfit: float = math.nan
 
 
 def find(
@@ -107,7 +108,7 @@ def find(
         small = bool(np.ptp(states[-1].q, axis=0).max() < math.tau)
         _, best = min(rivals, key=lambda each: (small and each[1].kind == "degrees", each[1].kind in FITTED))
         others = tuple(mistake for _, mistake in rivals if mistake.kind != best.kind)
-        found.append(Found(best, math.nan, math.nan, others))
+        found.append(Found(best, math.nan, math.nan, others, own))
         states.append(best.right(states[-1]) or states[-1])
         lefts.append(fit.explain(states[-1]))
     dropped = None
