@@ -5,7 +5,7 @@ are pooled as any other estimate (:mod:`.pooling`): over sessions and subjects, 
 band of the average holds both, what each trial leaves open and how trials, sessions and subjects differ. A second band
 says where the true torque of a further trial lies.
 
-Times are every `STEP`-th of the range that at least half of the trials of each level cover.
+Times are `TIMES` of the range that at least half of the trials of each level cover.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from invdyn.inference.study.trial import Trial
 from invdyn.inference.study.work import said
 from invdyn.recordings import InputError
 
-TIMES, SETS = 61, 256
+TIMES, SETS = 41, 256
 INTERVAL = (0.05, 0.95)
 
 

@@ -17,11 +17,12 @@ Shapes: n trials, C conditions, G sets of τ, q = C + all groups.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import logsumexp
-from scipy.stats import chi2, halfnorm, multivariate_t, norm, qmc
+from scipy.special import logsumexp, ndtr, ndtri
+from scipy.stats import chi2, multivariate_t, qmc
 
 SETS, ROUNDS, DF, WIDER = 1024, 2, 5.0, 1.3
 LEAST = 1e-4
@@ -49,7 +50,7 @@ class Mixture:
 
     def below(self, x: float) -> float:
         """Probability of a value under x."""
-        return float(self.weights @ norm.cdf(x, self.means, self.sds))
+        return float(self.weights @ ndtr((x - self.means) / self.sds))
 
     def quantile(self, share: float) -> float:
         """Value with that probability below it."""
@@ -184,15 +185,23 @@ def _given(
     return log_evidence, mean[:, :conditions], covariance[:, :conditions, :conditions]
 
 
+@cache
 def _points(dimensions: int, count: int) -> np.ndarray:
     """Sobol points (count, dimensions) within the unit cube, its faces left out."""
     points = qmc.Sobol(dimensions, scramble=True, rng=0).random(count)
     return np.clip(points, 1e-6, 1 - 1e-6)
 
 
+@cache
+def _student_points(dimensions: int, count: int) -> np.ndarray:
+    """Points (count, dimensions) of the standard Student t with `DF` degrees of freedom."""
+    points = _points(dimensions + 1, count)
+    return np.sqrt(DF / chi2.ppf(points[:, -1:], DF)) * ndtri(points[:, :-1])
+
+
 def _prior_points(log_scale: np.ndarray, count: int) -> np.ndarray:
     """Points log τ (G, d) of the prior, whose scales are e^log_scale (d,)."""
-    return np.log(np.maximum(halfnorm.ppf(_points(len(log_scale), count)), LEAST)) + log_scale
+    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), LEAST)) + log_scale
 
 
 def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -202,13 +211,11 @@ def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray
     centre = weights @ log_tau
     spread = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
     shape = WIDER**2 * spread + 1e-3 * np.eye(dimensions)
-    points = _points(dimensions + 1, count // 2)
-    radius = np.sqrt(DF / chi2.ppf(points[:, -1], DF))
-    near = centre + radius[:, None] * (norm.ppf(points[:, :-1]) @ np.linalg.cholesky(shape).T)
+    near = centre + _student_points(dimensions, count // 2) @ np.linalg.cholesky(shape).T
     near = np.clip(near, np.log(LEAST) + log_scale, np.log(8.0) + log_scale)
     both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])
     # The density of log τ is that of a half-normal times τ.
     own = both - log_scale
-    prior = (halfnorm.logpdf(np.exp(own)) + own).sum(-1)
+    prior = (0.5 * np.log(2 / np.pi) - 0.5 * np.exp(2 * own) + own).sum(-1)
     drawn = multivariate_t(centre, shape, df=DF).logpdf(both)
     return both, prior - np.logaddexp(prior, drawn)
