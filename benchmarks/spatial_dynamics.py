@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    methods = ("forward", "inverse", "bias", "inertia_matrix", "keypoints", "jacobian")
+    methods = ("forward", "inverse", "inertia_matrix", "keypoints", "jacobian")
     print(f"| operations | {' | '.join(methods)} |\n|---|{'---|' * len(methods)}")
     for tree in arms():
         dynamics = SpatialDynamics(tree)

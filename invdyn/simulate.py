@@ -176,7 +176,7 @@ def resting(body: Body) -> list[float]:
     if body.is_chain:
         return body.hanging
     dynamics, numbers = dynamics_for(body), body.parameters()
-    turning = [motion.turns for _, motion in body.motions() if motion.name not in body.driven_names]
+    turning = [motion.turns for _, motion in body.motions()]
     places = torch.tensor([place for place, turns in enumerate(turning) if turns])
 
     def energy(angles: np.ndarray) -> tuple[float, np.ndarray]:

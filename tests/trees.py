@@ -62,11 +62,11 @@ def twelve_joints() -> Body:
     return Body("twelve joints", links)
 
 
-def mobile_arm(driven=False):
+def mobile_arm():
     """An arm of three hinges on a base that rolls in the plane and turns, with a mast and a gripper fixed to it."""
     rod = (0.002, 0.03, 0.03, 0.0, 0.001, 0.0)
     ball = (0.01, 0.01, 0.01, 0, 0, 0)
-    slide = Joint("forward", "slide", (1.0, 0.0, 0.0), driven=driven)
+    slide = Joint("forward", "slide", (1.0, 0.0, 0.0))
     return Body(
         "mobile arm",
         [

@@ -80,7 +80,7 @@ def posture(body: ArticulatedBody, angle: np.ndarray | None = None) -> Posture |
              for k, parent in enumerate(body.parents)
              if parent >= 0 or (d == 3 and body.links[k].joint.type != "free")]  # fmt: skip
     lines += [(k, hubs[k], keypoints[name]) for k, link in enumerate(body.links) for name in link.points]
-    owners = [hubs[body.links.index(link)] for link, _ in body.motions() if not link.joint.driven]
+    owners = [hubs[body.links.index(link)] for link, _ in body.motions()]
     drawn = tuple(dict.fromkeys(line for line in lines if line[1] != line[2]))
     views = np.eye(2)[None] if d == 2 else _views(np.array(points), np.array(body.gravity))
     return Posture(np.array(points)[:, :d], drawn, tuple(owners), keypoints, views)

@@ -68,15 +68,15 @@ def pitches(tree: Body, path: np.ndarray) -> dict[str, float]:
     for link in tree.links:
         chart, count = link.joint.chart, len(link.joint.motions())
         middle = place + count - len(chart) + 1
-        place += 0 if link.joint.driven else count
-        if len(chart) > 1 and not link.joint.driven and len(set(chart)) == len(chart):
+        place += count
+        if len(chart) > 1 and len(set(chart)) == len(chart):
             found[link.joint.name] = float(np.degrees(np.arcsin(np.abs(np.sin(path[:, middle]))).max()))
     return found
 
 
 def directions(tree: Body, link: Link, path: np.ndarray) -> np.ndarray:
     """Directions (T, 3) of the link's last axis in the joint's frame, along a path (T, K)."""
-    ahead = sum(len(each.joint.motions()) for each in tree.links[: tree.links.index(link)] if not each.joint.driven)
+    ahead = sum(len(each.joint.motions()) for each in tree.links[: tree.links.index(link)])
     chart, count = link.joint.chart, len(link.joint.motions())
     turns = path[:, ahead + count - len(chart) : ahead + count]
     return Rotation.from_euler(chart.upper(), turns).as_matrix() @ LETTERS[_last(chart)]

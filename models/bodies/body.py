@@ -8,7 +8,7 @@ A link may have a `length` m instead: it is a stick along its x axis, whose `tip
 links on it are placed at its tip, its com is in its middle and its inertia that of a thin rod.
 
 The base is what the first joint makes of it: fixed where the link's joint is any on the world, free by a joint of type
-free, moved by one that is `driven`.
+free.
 
 A body of two `dimensions` is a chain of sticks in the plane, which keypoints show by x and y (:func:`planar_body`).
 Denavit–Hartenberg: θ₁ is counted from the x axis, each further angle from the parent link, counter-clockwise positive;
@@ -55,8 +55,8 @@ class Body(FromFiles, BodyBase):
     quantity or of one joint: "mass", "damping", "damping.elbow". `exact` says whether all else is known as it stands:
     a robot's file, MJCF or URDF, has no place to say so, and its body is not, until it is told to be.
 
-    Links are kept with parents before children, else in the order given; `joint_names` are its coordinates, K of them
-    not driven. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia
+    Links are kept with parents before children, else in the order given; `joint_names` are its K
+    coordinates. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia
     tensors that break the triangle inequality where that matters, and in the plane for what is no chain of sticks.
     """
 
@@ -92,7 +92,7 @@ class Body(FromFiles, BodyBase):
             planar.check_chain(self.links, where)
             return
         if not self.num_joints:
-            raise BodyError(f"{where}: expected a joint that moves, got only fixed or driven ones")
+            raise BodyError(f"{where}: expected a joint that moves, got only fixed ones")
         for link, directions in zip(self.links, turning(self.links, self.parents), strict=True):
             own = moments(link, nominal(link.mass), None if link.length is None else nominal(link.length))
             check_inertia(tensor(np.array([nominal(x) for x in own])), directions, f"{where}: link '{link.name}'")
@@ -122,17 +122,12 @@ class Body(FromFiles, BodyBase):
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the K coordinates: the joint's, with _yaw, _pitch, _roll, _x, _y or _z where it has several."""
-        return tuple(motion.name for link, motion in self.motions() if not link.joint.driven)
+        return tuple(motion.name for _, motion in self.motions())
 
     @cached_property
     def joint_parts(self) -> tuple[JointParts | None, ...]:
         """What each of the K coordinates has besides."""
-        return tuple(link.parts for link, _ in self.motions() if not link.joint.driven)
-
-    @cached_property
-    def driven_names(self) -> tuple[str, ...]:
-        """Names of the coordinates of driven joints, whose motion is given."""
-        return tuple(motion.name for link, motion in self.motions() if link.joint.driven)
+        return tuple(link.parts for link, _ in self.motions())
 
     @cached_property
     def keypoint_names(self) -> tuple[str, ...]:
@@ -157,7 +152,7 @@ class Body(FromFiles, BodyBase):
         return next((each for each in (name, "base") if each not in self.keypoint_names), None)
 
     def motions(self) -> list[tuple[Link, Motion]]:
-        """All coordinates, driven ones too, with the link that each belongs to."""
+        """All coordinates, with the link that each belongs to."""
         return [(link, motion) for link in self.links for motion in link.joint.motions()]
 
     @property
@@ -177,8 +172,8 @@ class Body(FromFiles, BodyBase):
         return hand(self.links, self.parents, self.in_space().parameters().sites)
 
     def moved_by(self, link: int) -> tuple[int, ...]:
-        """Coordinates of its joint, or, where that is fixed or driven, of the next one inwards."""
-        owners = [self.links.index(each) for each, _ in self.motions() if not each.joint.driven]
+        """Coordinates of its joint, or, where that is fixed, of the next one inwards."""
+        owners = [self.links.index(each) for each, _ in self.motions()]
         while link >= 0:
             if found := tuple(k for k, owner in enumerate(owners) if owner == link):
                 return found
@@ -194,8 +189,7 @@ class Body(FromFiles, BodyBase):
     @property
     def _stands(self) -> bool:
         """Whether the first joint is at a place that does not move."""
-        root = self.links[0].joint
-        return not root.driven and all(motion.turns for motion in root.motions())
+        return all(motion.turns for motion in self.links[0].joint.motions())
 
     # -- numbers ---------------------------------------------------------------------------------
     def parameters(
@@ -281,7 +275,7 @@ class Body(FromFiles, BodyBase):
         found = {name: (dims[name], value) for name, value in own.items()}
         if self.is_chain:
             return found
-        turns = [motion.turns for link, motion in self.motions() if not link.joint.driven]
+        turns = [motion.turns for _, motion in self.motions()]
         found["turns"] = ["joint"], torch.tensor(turns).int()
         if self._stands:
             found["base"] = ["space"], own["origin"][..., 0, :]

@@ -9,16 +9,12 @@ constant `reference` (none, mostly). Types, with their coordinates (rad, m):
     translation  shifts along x, y and z                      free         those, and then a ball's turns
     fixed        none: the link is lumped with its parent
 
-Each turn is about the axis as the turns before have moved it. Where the middle one of three turns (the second of
-"zy" likewise) comes to the singular end of its range, another chart is wanted: `Joint.recentred`.
-
-A `driven` joint's motion is given (a shoulder that a camera follows, say), so that its torque is not inferred.
+Each turn is about the axis as the turns before have moved it.
 """
 
-import dataclasses
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,15 +49,12 @@ class Joint:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     chart: str = ""
     reference: tuple[tuple[float, ...], ...] = UNTURNED
-    driven: bool = False
 
     def __post_init__(self) -> None:
         check_name(self.name, "name of a joint")
         where = f"joint '{self.name}'"
         if not isinstance(self.type, str) or self.type not in COORDINATES:
             raise BodyError(f"{where}: expected a type of {', '.join(COORDINATES)}, got {self.type!r:.40}")
-        if not isinstance(self.driven, bool):
-            raise BodyError(f"{where}: expected driven = true or false, got {self.driven!r:.40}")
         axis = unit(self.axis, 3, f"{where}: axis")
         object.__setattr__(self, "axis", tuple(axis.tolist()))
         object.__setattr__(self, "reference", from_rows(self.reference, f"{where}: reference"))
@@ -93,11 +86,3 @@ class Joint:
                 for turn, letter in zip(turns, self.chart, strict=True)
             ),
         ]
-
-    def recentred(self, frame: np.ndarray) -> Self:
-        """Return the joint for a placement that is turned by `frame` (3, 3) first, with the same link at zero.
-
-        With R₀ the placement, R₀ · frame and the joint returned are another chart of the same ball.
-        """
-        reference = frame.T @ np.array(self.reference)
-        return dataclasses.replace(self, reference=tuple(map(tuple, reference.tolist())))

@@ -61,7 +61,7 @@ class _Moves(NamedTuple):
 def write_mjcf(body: Body, path: str | Path) -> None:
     """Write a body as MJCF: a planar one in the plane z = 0, its hinges about z.
 
-    Warns (UserWarning) of what MJCF cannot say: priors, learned scalars, driven joints. Raises `BodyError` for a
+    Warns (UserWarning) of what MJCF cannot say: priors, learned scalars. Raises `BodyError` for a
     massless link that moves with several children or sites of its own, and for a tensor that is no rigid body's where
     that matters; `OSError` for no place.
     """
@@ -70,7 +70,6 @@ def write_mjcf(body: Body, path: str | Path) -> None:
         ("priors (written: their means)", body.has_priors or bool(getattr(body, "uncertainty", None))),
         ("learned scalars (written: where they start)", bool(body.learned)),
         ("limits and servos of motors", any(own is not None and _is_more(own.motor) for own in tree.joint_parts)),
-        (f"that joints are driven ({', '.join(tree.driven_names)})", bool(tree.driven_names)),
     ]
     if omitted := [words for words, there in lost if there]:
         warnings.warn(f"{path}: MJCF cannot say {'; nor '.join(omitted)}", UserWarning, stacklevel=2)

@@ -1,12 +1,11 @@
-"""Rotations as numbers: matrices out of axes, quaternions and roll–pitch–yaw, and Euler angles out of matrices.
+"""Rotations as numbers: matrices out of axes, quaternions and roll–pitch–yaw.
 
 A rotation R (3, 3) has the axes of the turned frame as its columns, so that v_outer = R v_inner. Quaternions are
 (w, x, y, z), angles are rad, roll–pitch–yaw are URDF's: R = Rz(yaw) Ry(pitch) Rx(roll). What is within 1e-12 of 0 or
 ±1 becomes it: right angles are meant, and structural zeros make the dynamics short.
 """
 
-import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -95,24 +94,3 @@ def onto(axis: np.ndarray) -> np.ndarray:
     x = np.cross(np.cross(axis, IDENTITY[place]), axis)
     x /= np.linalg.norm(x)
     return clean(np.stack([x, np.cross(axis, x), axis], 1))
-
-
-def of_chart(chart: str, angles: Sequence[float]) -> np.ndarray:
-    """R of turns about the chart's letters one after the other, each about the axes that the ones before made."""
-    matrix = IDENTITY
-    for letter, angle in zip(chart, angles, strict=True):
-        matrix = matrix @ about(LETTERS[letter], angle)
-    return matrix
-
-
-def chart_angles(rotations: np.ndarray, chart: str) -> np.ndarray:
-    """Angles (..., 3), rad, of `of_chart` for rotations (..., 3, 3) and a chart of three letters.
-
-    The first and the last angle lie in (−π, π], the middle one in [−π/2, π/2] (in [0, π] where the first letter is
-    the last, too). Where the middle one is at an end, the first and the last are known by their sum or difference
-    alone: the last is then 0.
-    """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
-        angles = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler(chart.upper())
-    return angles.reshape(rotations.shape[:-1])

@@ -21,7 +21,6 @@
     name = "forearm"
     joint = "elbow"
     axis = [0.0, 1.0, 0.0]      # of a hinge or slide, in the joint's frame; default [0, 0, 1]
-    driven = false              # true: its motion is given, as a base's is that is moved
     mass = 1.0
     com = [0.12, 0.0, 0.0]      # m, in the link's frame
     inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
@@ -54,7 +53,7 @@ from invdyn.models.bodies.whole_file import read_whole, write_whole
 
 TREE_KEYS = ("name", "dimensions", "gravity", "links", "uncertainty")
 ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
-JOINT_KEYS = ("type", "axis", "chart", "driven", "reference")
+JOINT_KEYS = ("type", "axis", "chart", "reference")
 SCALARS = ("mass", "length")
 VECTORS = ("origin", "com", "inertia")
 LINK_KEYS = ("name", "parent", "joint", *JOINT_KEYS, *ROTATIONS, *SCALARS, "tip", *VECTORS, "sites")
@@ -108,8 +107,7 @@ def _written(link: dict) -> dict:
     for key, rows in (("axes", link["rotation"]), ("reference", joint.pop("reference"))):
         if rows != UNTURNED:
             values[key] = [list(column) for column in zip(*rows, strict=True)]
-    usual = {"chart": "", "driven": False}
-    values |= {key: value for key, value in joint.items() if usual.get(key) != value}
+    values |= {key: value for key, value in joint.items() if value != ""}
     for key in (*SCALARS, *VECTORS, "tip"):
         value = link[key]
         if isinstance(value, tuple):
@@ -131,7 +129,7 @@ def _link(link: dict, where: str) -> dict:
     said = [key for key in ROTATIONS if key in link]
     if len(said) > 1:
         raise BodyError(f"{where}: expected one of {', '.join(ROTATIONS)}, got {' and '.join(said)}")
-    joint = {"name": link["joint"], **{key: link[key] for key in ("type", "axis", "chart", "driven") if key in link}}
+    joint = {"name": link["joint"], **{key: link[key] for key in ("type", "axis", "chart") if key in link}}
     if "reference" in link:
         joint["reference"] = _rows(link["reference"], "axes", f"{where}: reference")
     made = {key: link[key] for key in ("name", "parent", "tip") if key in link} | {"joint": joint}

@@ -8,7 +8,6 @@ from functools import singledispatch
 
 from invdyn.models.bodies.body import Body
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
@@ -21,8 +20,8 @@ ENGINES = ("traced", "symbolic")
 def dynamics_for(body: ArticulatedBody, engine: str = "traced") -> Dynamics:
     """Return the `Dynamics` of a body: by traced programs, or, of a planar chain, by SymPy's "symbolic" equations.
 
-    Raises `TypeError` for a kind of body that has none here, `BodyError` for a tree with driven joints, `ValueError`
-    for another engine or a body that it does not take.
+    Raises `TypeError` for a kind of body that has none here, `ValueError` for another engine or a
+    body that it does not take.
     """
     raise TypeError(f"expected a body whose dynamics are known, got {body!r:.60}: register them by dynamics_for")
 
@@ -37,9 +36,4 @@ def _(body: Body, engine: str = "traced") -> Dynamics:
         return SymbolicDynamics(body.num_joints)
     if body.is_chain:
         return planar_dynamics(body.num_joints)
-    if body.driven_names:
-        raise BodyError(
-            f"body '{body.name}': expected no driven joints, got {', '.join(body.driven_names)}: a model has no motion "
-            "to give them yet; SpatialDynamics takes one"
-        )
     return SpatialDynamics(body)

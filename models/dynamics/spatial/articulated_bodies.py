@@ -1,8 +1,7 @@
 """Forward dynamics by articulated bodies, in body axes: accelerations of given torques, O(K).
 
-R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7; driven joints as in its section 9.2, hybrid
-dynamics. Spatial vectors are pairs of the angular and the linear part about a frame's origin; an articulated body's
-inertia is
+R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7. Spatial vectors are pairs of the angular and the
+linear part about a frame's origin; an articulated body's inertia is
 
     [moment]   [ A   B ] [angular acceleration]
     [force ] = [ Bᵀ  M ] [linear acceleration ]  + bias
@@ -54,19 +53,14 @@ def accelerations(frames: Frames, motion: Motion, own_inertia: Sequence[Scalar] 
     """q̈, K entries, of q, q̇ and torques; `own_inertia` of the joints' rotors, kg·m², or None."""
     places, speeds = placed(frames, motion), velocities(frames, motion)
     bodies = [_rigid(frame, w, v) for frame, (w, v, _) in zip(frames.frames, speeds, strict=True)]
-    solved: list[tuple[Pair, Scalar] | None] = [None] * len(bodies)
+    solved: list[tuple[Pair, Scalar]] = [((ZERO, ZERO), 0.0)] * len(bodies)
     for k in reversed(range(len(bodies))):
         frame = frames.frames[k]
         has_parent = frame.parent >= 0
-        if frames.is_driven(frame):
-            handed = (
-                _carried(bodies[k], speeds[k][2], frame.turns, motion.qdd[frame.coordinate]) if has_parent else None
-            )
-        else:
-            own = 0.0 if own_inertia is None else own_inertia[frame.coordinate]
-            solved[k], handed = _released(
-                bodies[k], frame.turns, motion.tau[frame.coordinate], own, speeds[k][2], has_parent
-            )
+        own = 0.0 if own_inertia is None else own_inertia[frame.coordinate]
+        solved[k], handed = _released(
+            bodies[k], frame.turns, motion.tau[frame.coordinate], own, speeds[k][2], has_parent
+        )
         if handed is not None:
             bodies[frame.parent] = _joined(bodies[frame.parent], _moved(handed, places[k]))
     found: list[Scalar] = [0.0] * frames.num_joints
@@ -74,14 +68,9 @@ def accelerations(frames: Frames, motion: Motion, own_inertia: Sequence[Scalar] 
     for k, frame in enumerate(frames.frames):
         alpha, a = arrived[frame.parent] if frame.parent >= 0 else (ZERO, scale(-1.0, frames.gravity))
         alpha, a = places[k].outwards(alpha), places[k].outwards(add(a, cross(alpha, places[k].position)))
-        (turning, moving), ratio_and_rest = speeds[k][2], solved[k]
+        (turning, moving), ((angular, linear), rest) = speeds[k][2], solved[k]
         alpha, a = add(alpha, turning), add(a, moving)
-        if ratio_and_rest is None:
-            qdd = motion.qdd[frame.coordinate]
-        else:
-            (angular, linear), rest = ratio_and_rest
-            qdd = rest - (dot(angular, alpha) + dot(linear, a))
-            found[frame.coordinate] = qdd
+        found[frame.coordinate] = qdd = rest - (dot(angular, alpha) + dot(linear, a))
         along = [0.0, 0.0, qdd]
         arrived.append((add(alpha, along), a) if frame.turns else (alpha, add(a, along)))
     return found
@@ -116,16 +105,6 @@ def _released(
     moment = add(moment, apply(left_A, turning), apply(left_B, moving), scale(rest, angular))
     force = add(force, apply(transpose(left_B), turning), apply(left_M, moving), scale(rest, linear))
     return ((k, l), rest), _Body(left_A, left_B, left_M, moment, force)
-
-
-def _carried(body: _Body, velocity_product: Pair, turns: bool, qdd: Scalar) -> _Body:
-    """What a body whose joint's motion is given hands to the parent: all of its inertia."""
-    A, B, M, moment, force = body
-    along = [0.0, 0.0, qdd]
-    turning, moving = velocity_product
-    turning, moving = (add(turning, along), moving) if turns else (turning, add(moving, along))
-    moment = add(moment, apply(A, turning), apply(B, moving))
-    return _Body(A, B, M, moment, add(force, apply(transpose(B), turning), apply(M, moving)))
 
 
 def _moved(body: _Body, place: PlacedFrame) -> _Body:

@@ -19,14 +19,11 @@ def inertia_matrix(frames: Frames, motion: Motion) -> list[list[Scalar]]:
             composite[parent] = joined(composite[parent], moved(composite[k], places[k]))
     D: list[list[Scalar]] = [[0.0] * frames.num_joints for _ in range(frames.num_joints)]
     for k, frame in enumerate(frames.frames):
-        if frames.is_driven(frame):
-            continue
         moment, force = _column(frame, composite[k])
         for j in frames.ancestors(k):
             other = frames.frames[j]
-            if not frames.is_driven(other):
-                value = (moment if other.turns else force)[2]
-                D[frame.coordinate][other.coordinate] = D[other.coordinate][frame.coordinate] = value
+            value = (moment if other.turns else force)[2]
+            D[frame.coordinate][other.coordinate] = D[other.coordinate][frame.coordinate] = value
             if other.parent >= 0:
                 force = places[j].inwards(force)
                 moment = add(places[j].inwards(moment), cross(places[j].position, force))

@@ -25,26 +25,18 @@ from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
-from invdyn.models.dynamics.spatial.frames import Entry, Frames, frames_of
+from invdyn.models.dynamics.spatial.frames import Entry, frames_of
 from invdyn.models.dynamics.spatial.motion import Motion
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled, has_tangent, is_plain, is_there
 from invdyn.models.dynamics.traced.expressions import Graph, Scalar
 from invdyn.models.dynamics.traced.programs import Program, program
 from invdyn.models.dynamics.traced.sincos import ANGLE, FUNCTIONS, turned
-from invdyn.models.shapes import common, join, stacked
+from invdyn.models.shapes import common, stacked
 
 POSES = ((0.6, 1.1), (2.3, -0.7), (-1.9, 0.4))
 """Of coordinates, nothing special: a first value and a step, rad or m."""
 RESISTS = 1e-10
 """Of a coordinate's own inertia: what is left of it, with those further out free, that still counts."""
-
-
-class Driven(NamedTuple):
-    """The given motion of D driven coordinates: q, q̇ and q̈, (..., D) each."""
-
-    q: Tensor
-    qd: Tensor
-    qdd: Tensor
 
 
 class _Body(NamedTuple):
@@ -64,8 +56,8 @@ class _Body(NamedTuple):
 class SpatialDynamics(Dynamics):
     """What a tree does; interface, shapes and units as in `Dynamics`, with p a `TreeParameters`.
 
-    Trees with driven joints want `driven` in every call. What needs no gradient runs as machine code (extra `fast`)
-    once a program has run about `compile_after` times: the same bits, sooner. 0 compiles at once, infinity never.
+    What needs no gradient runs as machine code (extra `fast`) once a program has run about `compile_after` times: the
+    same bits, sooner. 0 compiles at once, infinity never.
     `compile_after` and `rotors` are for direct use: a model says neither.
 
     Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
@@ -106,31 +98,26 @@ class SpatialDynamics(Dynamics):
         """Number of operations of a method's program for one state of the tree as it stands."""
         return self._program(method, self._body(self._nominal).structure).operations
 
-    def inertia_matrix(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def inertia_matrix(self, q: Tensor, p: Any) -> Tensor:
         """D(q), kg·m² (kg for slides), (..., K, K)."""
         self._check(q=q)
         K = self.num_joints
-        return self._evaluate("inertia_matrix", p, driven, q=q).unflatten(-1, (K, K))
+        return self._evaluate("inertia_matrix", p, q=q).unflatten(-1, (K, K))
 
-    def coriolis(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
-        """h(q, q̇), N·m or N, (..., K); with what a driven joint's motion asks for."""
+    def coriolis(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
+        """h(q, q̇), N·m or N, (..., K)."""
         self._check(q=q, qd=qd)
-        return self._evaluate("coriolis", p, driven, q=q, qd=qd)
+        return self._evaluate("coriolis", p, q=q, qd=qd)
 
-    def gravity_load(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def gravity_load(self, q: Tensor, p: Any) -> Tensor:
         """c(q) = ∂V/∂q, N·m or N, (..., K)."""
         self._check(q=q)
-        return self._evaluate("gravity_load", p, driven, q=q)
+        return self._evaluate("gravity_load", p, q=q)
 
-    def uniform_load(self, q: Tensor, field: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def uniform_load(self, q: Tensor, field: Tensor, p: Any) -> Tensor:
         """The load c(q) in a gravity ``field`` (..., d) m/s² that may differ from one state to the next, (..., K)."""
         self._check(q=q)
-        return self._evaluate("uniform_load", p, driven, q=q, field=field)
-
-    def bias(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
-        """H + c, N·m or N, (..., K)."""
-        self._check(q=q, qd=qd)
-        return self._evaluate("bias", p, driven, q=q, qd=qd)
+        return self._evaluate("uniform_load", p, q=q, field=field)
 
     def forward(
         self,
@@ -139,11 +126,10 @@ class SpatialDynamics(Dynamics):
         tau: Tensor,
         p: Any,
         own_inertia: Tensor | None = None,
-        driven: Driven | None = None,
     ) -> Tensor:
         """q̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s² or m/s², (..., K)."""
         self._check(q=q, qd=qd, tau=tau)
-        return self._evaluate("forward", p, driven, q=q, qd=qd, tau=tau, own=own_inertia)
+        return self._evaluate("forward", p, q=q, qd=qd, tau=tau, own=own_inertia)
 
     def response(
         self,
@@ -151,46 +137,41 @@ class SpatialDynamics(Dynamics):
         tau: Tensor,
         p: Any,
         own_inertia: Tensor | None = None,
-        driven: Driven | None = None,
     ) -> Tensor:
         """(D + diag I_own)⁻¹ τ, rad/s² or m/s², (..., K)."""
         self._check(q=q, tau=tau)
-        return self._evaluate("response", p, driven, q=q, tau=tau, own=own_inertia)
+        return self._evaluate("response", p, q=q, tau=tau, own=own_inertia)
 
-    def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """τ = D q̈ + h + c, N·m or N, (..., K)."""
         self._check(q=q, qd=qd, qdd=qdd)
-        return self._evaluate("inverse", p, driven, q=q, qd=qd, qdd=qdd)
+        return self._evaluate("inverse", p, q=q, qd=qd, qdd=qdd)
 
-    def kinetic_energy(self, q: Tensor, qd: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
-        """½ q̇ᵀ D q̇ (and what driven joints add), J, (...)."""
+    def kinetic_energy(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
+        """½ q̇ᵀ D q̇, J, (...)."""
         self._check(q=q, qd=qd)
-        return self._evaluate("kinetic_energy", p, driven, q=q, qd=qd).squeeze(-1)
+        return self._evaluate("kinetic_energy", p, q=q, qd=qd).squeeze(-1)
 
-    def potential_energy(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def potential_energy(self, q: Tensor, p: Any) -> Tensor:
         """V(q) = −Σ m g·r of all that moves, J, zero at the world's origin, (...)."""
         self._check(q=q)
-        return self._evaluate("potential_energy", p, driven, q=q).squeeze(-1)
+        return self._evaluate("potential_energy", p, q=q).squeeze(-1)
 
-    def keypoints(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def keypoints(self, q: Tensor, p: Any) -> Tensor:
         """Positions of the S sites in the world's frame, m, (..., S, d)."""
         self._check(q=q)
-        return self._evaluate("keypoints", p, driven, q=q).unflatten(-1, (len(self.tree.keypoint_names), self.space))
+        return self._evaluate("keypoints", p, q=q).unflatten(-1, (len(self.tree.keypoint_names), self.space))
 
-    def jacobian(self, q: Tensor, p: Any, driven: Driven | None = None) -> Tensor:
+    def jacobian(self, q: Tensor, p: Any) -> Tensor:
         """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, d, K)."""
         self._check(q=q)
         shape = len(self.tree.keypoint_names), self.space, self.num_joints
-        return self._evaluate("jacobian", p, driven, q=q).unflatten(-1, shape)
+        return self._evaluate("jacobian", p, q=q).unflatten(-1, shape)
 
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J q̇, m/s, (..., S, d)."""
         self._check(q=q, qd=qd)
         return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
-
-    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
-        """r̈ = J q̈ + J̇ q̇, m/s², (..., S, d)."""
-        return super().site_accelerations(q, qd, qdd, p)
 
     def _prepared(self, method: str, p: Any, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
         """What was seen of the body, a method's program for it, and the body's own coefficients in that."""
@@ -198,9 +179,9 @@ class SpatialDynamics(Dynamics):
         traced = self._program(method, body.structure, with_own)
         return body, traced, self._numbers((method, body.structure, with_own), traced, p)
 
-    def _evaluate(self, method: str, p: Any, driven: Driven | None, **given: Tensor | None) -> Tensor:
+    def _evaluate(self, method: str, p: Any, **given: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
-        joint = self._with_driven(driven, {name: value for name, value in given.items() if value is not None})
+        joint = {name: value for name, value in given.items() if value is not None}
         body, traced, numbers = self._prepared(method, p, "own" in joint)
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]
@@ -217,33 +198,18 @@ class SpatialDynamics(Dynamics):
             return like.new_empty(*batch, 0)
         return stacked([x.expand(batch) if isinstance(x, Tensor) else like.new_full(batch, x) for x in outputs])
 
-    def _with_driven(self, driven: Driven | None, joint: dict[str, Tensor]) -> dict[str, Tensor]:
-        """The joint quantities, with those of driven joints after them."""
-        count = len(self.tree.driven_names)
-        given = 0 if driven is None else driven.q.shape[-1]
-        if given != count:
-            names = ", ".join(self.tree.driven_names) or "none"
-            raise ValueError(f"expected the motion of {count} driven coordinates ({names}), got {given}")
-        if not count:
-            return joint
-        if "qdd" not in joint:
-            joint["qdd"] = torch.zeros_like(joint["q"])
-        if "qd" not in joint:
-            joint["qd"] = torch.zeros_like(joint["q"])
-        return joint | {word: join(joint[word], getattr(driven, word)) for word in Driven._fields}
-
     def _program(self, method: str, structure: bytes, with_own: bool = False) -> Program:
         key = method, structure, with_own
         if key not in self._programs:
             graph = Graph()
             known = dict(zip(self._nominal._fields, self._patterns[structure], strict=True))
-            K, D = self.num_joints, len(self.tree.driven_names)
+            K = self.num_joints
 
-            def moving(word: str, count: int = K + D) -> list[Scalar]:
+            def moving(word: str, count: int = K) -> list[Scalar]:
                 return [graph.argument((word, place), moving=True) for place in range(count)]
 
-            state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau", K))
-            own = moving("own", K) if with_own else None
+            state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau"))
+            own = moving("own") if with_own else None
             frames = frames_of(self.tree, self._entry(graph, known), method != "potential_energy")
             if method == "uniform_load":
                 frames = replace(frames, gravity=[*moving("field", self.space), 0.0][:3])
@@ -287,8 +253,7 @@ class SpatialDynamics(Dynamics):
         """Raise `BodyError` for a coordinate that nothing resists, in any pose."""
         K = self.num_joints
         poses = torch.tensor([[first + step * k for k in range(K)] for first, step in POSES], dtype=torch.float64)
-        rest = torch.zeros(len(POSES), len(self.tree.driven_names), dtype=torch.float64)
-        D = self.inertia_matrix(poses, self._nominal, Driven(rest, rest, rest)).numpy().copy()
+        D = self.inertia_matrix(poses, self._nominal).numpy().copy()
         own = D.diagonal(axis1=1, axis2=2).copy()
         for k in reversed(range(K)):  # what is left of it with the joints further out free
             resists = D[:, k, k] > RESISTS * own[:, k]
@@ -316,21 +281,13 @@ def _still(motion: Motion, *still: str) -> Motion:
     return motion._replace(**{word: [0.0] * len(motion.q) for word in still})
 
 
-def _undriven(frames: Frames, motion: Motion) -> Motion:
-    """The motion with accelerations of driven joints alone."""
-    return motion._replace(qdd=[0.0] * frames.num_joints + list(motion.qdd[frames.num_joints :]))
-
-
 TRACED = {
     "forward": lambda frames, motion, own, _: articulated_bodies.accelerations(frames, motion, own),
     "response": lambda frames, motion, own, _: articulated_bodies.accelerations(
         replace(frames, gravity=ZERO), _still(motion, "qd", "qdd"), own
     ),
     "inverse": lambda frames, motion, *_: newton_euler.torques(frames, motion),
-    "bias": lambda frames, motion, *_: newton_euler.torques(frames, _undriven(frames, motion)),
-    "coriolis": lambda frames, motion, *_: newton_euler.torques(
-        replace(frames, gravity=ZERO), _undriven(frames, motion)
-    ),
+    "coriolis": lambda frames, motion, *_: newton_euler.torques(replace(frames, gravity=ZERO), _still(motion, "qdd")),
     "gravity_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
     "uniform_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
     "kinetic_energy": lambda frames, motion, *_: [newton_euler.kinetic_energy(frames, motion)],

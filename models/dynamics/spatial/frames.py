@@ -113,19 +113,12 @@ class PlacedFrame:
 
 @dataclass(frozen=True)
 class Frames:
-    """All frames of a tree, parents first; `sites` as a frame and a place in it each; `num_joints` torques.
-
-    Coordinates from `num_joints` on are those of driven joints.
-    """
+    """All frames of a tree, parents first; `sites` as a frame and a place in it each; `num_joints` torques."""
 
     frames: Sequence[Frame]
     sites: Sequence[tuple[int, Vector]]
     gravity: Vector
     num_joints: int
-
-    def is_driven(self, frame: Frame) -> bool:
-        """Whether the frame's motion is given."""
-        return frame.coordinate >= self.num_joints
 
     def ancestors(self, place: int) -> list[int]:
         """Places of the frames from this one to the world."""
@@ -141,7 +134,6 @@ def frames_of(tree: Body, entry: Entry, regrouped: bool = True) -> Frames:
     frames: list[Frame] = []
     sites: list[tuple[int, Vector]] = []
     carriers: list[tuple[int, Matrix, Vector]] = []  # of each link: its frame, and its own axes and origin in it
-    free, driven = iter(range(tree.num_joints)), iter(range(tree.num_joints, 10**6))
     for place, (link, parent) in enumerate(zip(tree.links, tree.parents, strict=True)):
         at, axes, origin = carriers[parent] if parent >= 0 else (-1, UNIT, ZERO)
         placement = [[entry("rotation", place, i, j) for j in range(3)] for i in range(3)]
@@ -149,8 +141,7 @@ def frames_of(tree: Body, entry: Entry, regrouped: bool = True) -> Frames:
         axes = multiply(axes, placement)
         for motion in link.joint.motions():
             turned = onto(motion.axis).tolist()
-            coordinate = next(driven if link.joint.driven else free)
-            frames.append(Frame(at, multiply(axes, turned), origin, motion.turns, coordinate))
+            frames.append(Frame(at, multiply(axes, turned), origin, motion.turns, len(frames)))
             at, axes, origin = len(frames) - 1, transpose(turned), ZERO
         axes = multiply(axes, link.joint.reference)
         carriers.append((at, axes, origin))

@@ -38,9 +38,8 @@ def jacobian(frames: Frames, motion: Motion) -> list[list[Vector]]:
         columns: list[Vector] = [ZERO] * frames.num_joints
         for k in frames.ancestors(at):
             frame = frames.frames[k]
-            if not frames.is_driven(frame):
-                axis = [row[2] for row in world[k][0]]
-                columns[frame.coordinate] = cross(axis, subtract(x, world[k][1])) if frame.turns else axis
+            axis = [row[2] for row in world[k][0]]
+            columns[frame.coordinate] = cross(axis, subtract(x, world[k][1])) if frame.turns else axis
         found.append([list(row) for row in zip(*columns, strict=True)])
     return found
 

@@ -11,7 +11,7 @@ NONE: Sequence[Scalar] = ()
 
 
 class Motion(NamedTuple):
-    """Entries by coordinate, those of driven joints last (they have no torque)."""
+    """Entries by coordinate."""
 
     q: Sequence[Scalar]
     cos: Sequence[Scalar]

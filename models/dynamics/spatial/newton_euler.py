@@ -28,8 +28,7 @@ def torques(frames: Frames, motion: Motion) -> list[Scalar]:
     found: list[Scalar] = [0.0] * frames.num_joints
     for k in reversed(range(len(forces))):
         frame, (moment, force) = frames.frames[k], forces[k]
-        if not frames.is_driven(frame):
-            found[frame.coordinate] = (moment if frame.turns else force)[2]
+        found[frame.coordinate] = (moment if frame.turns else force)[2]
         if frame.parent >= 0:
             force = places[k].inwards(force)
             moment = add(places[k].inwards(moment), cross(places[k].position, force))

@@ -4,13 +4,11 @@ import numpy as np
 import pyro
 import pytest
 import torch
-from trees import mobile_arm
 
 from invdyn.models import (
     ArmModel,
     ArticulatedBody,
     Body,
-    BodyError,
     Encoders,
     Joint,
     Keypoints,
@@ -73,12 +71,6 @@ def test_rows_are_the_same(effects, both):
 def test_an_effect_of_the_plane_is_refused_in_space(both):
     with pytest.raises(ValueError, match="external_push: expected a chain in the plane, got 'arm'"):
         both[1].with_effects(ExternalPush(ARM.keypoint_names[-1]))
-
-
-def test_driven_joints_are_refused_in_one_line():
-    with pytest.raises(BodyError, match="'mobile arm': expected no driven joints, got forward:") as refusal:
-        ArmModel(mobile_arm(driven=True), TIME)
-    assert "\n" not in str(refusal.value)
 
 
 def stick_arm(**upper):

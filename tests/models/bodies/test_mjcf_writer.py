@@ -93,8 +93,6 @@ def test_what_mjcf_cannot_say_is_said(tmp_path):
     learned = replace(panda().links[0], mass=Learned(4.0))
     with pytest.warns(UserWarning, match="cannot say learned scalars"):
         write_mjcf(Body("arm", [learned, *panda().links[1:]]), tmp_path / "arm.xml")
-    with pytest.warns(UserWarning, match=r"that joints are driven \(forward\)"):
-        write_mjcf(mobile_arm(driven=True), tmp_path / "arm.xml")
 
 
 def test_what_a_joint_has_besides_comes_back(tmp_path):

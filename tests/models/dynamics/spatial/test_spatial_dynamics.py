@@ -1,4 +1,4 @@
-"""Dynamics in space: derivatives, batches, dtypes, energy, driven joints, and what programs may leave out."""
+"""Dynamics in space: derivatives, batches, dtypes, energy, and what programs may leave out."""
 
 import dataclasses
 import math
@@ -14,7 +14,7 @@ from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.tree_parameters import TreeParameters
-from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 
 def learned(p):
@@ -137,25 +137,6 @@ def test_energy_is_kept_to_the_order_of_the_integrator():
 
     ratio = drift(20) / drift(40)
     assert 11 < ratio < 45  # 2⁴ = 16 of the method of Runge and Kutta, 2⁵ where the leading term is even in time
-
-
-def test_driven_joints_move_as_told():
-    free, driven = mobile_arm(), mobile_arm(driven=True)
-    assert driven.driven_names == ("forward",)
-    dynamics, p = SpatialDynamics(driven), driven.parameters()
-    q, qd, qdd = random_state(free.num_joints, 8)
-    place = free.joint_names.index("forward")
-    others = [k for k in range(free.num_joints) if k != place]
-    path = Driven(*(x[[place]] for x in (q, qd, qdd)))
-    rest = [x[others] for x in (q, qd, qdd)]
-    whole = SpatialDynamics(free).inverse(q, qd, qdd, p)[others]
-    close(dynamics.inverse(*rest, p, path), whole, 1e-12)
-    close(dynamics.forward(rest[0], rest[1], whole, p, driven=path), rest[2], 1e-9)
-    D = dynamics.inertia_matrix(rest[0], p, path)
-    load = dynamics.coriolis(rest[0], rest[1], p, path) + dynamics.gravity_load(rest[0], p, path)
-    close(D @ rest[2] + load, whole, 1e-12)
-    with pytest.raises(ValueError, match=r"motion of 1 driven coordinates \(forward\), got 0"):
-        dynamics.forward(*rest, p)
 
 
 def test_zeros_are_left_out():

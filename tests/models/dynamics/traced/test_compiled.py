@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 from torch.fx.experimental.proxy_tensor import make_fx
-from trees import mobile_arm, panda, paper_arm, random_state, random_tree
+from trees import panda, paper_arm, random_state, random_tree
 
 from invdyn.models.dynamics.interface import jvp
-from invdyn.models.dynamics.spatial.dynamics import Driven, SpatialDynamics
+from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled
 
 K = 4
@@ -50,8 +50,8 @@ def test_torchs_bits(tree, dtype):
     same(fast.forward(q, qd, tau, p), slow.forward(q, qd, tau, p))
     same(fast.forward(q, qd, tau, p, own), slow.forward(q, qd, tau, p, own))
     same(fast.response(q, tau, p), slow.response(q, tau, p))
-    for method in ("inverse", "bias", "inertia_matrix", "jacobian"):
-        given = {"inverse": (q, qd, tau), "bias": (q, qd)}.get(method, (q,))
+    for method in ("inverse", "coriolis", "inertia_matrix", "jacobian"):
+        given = {"inverse": (q, qd, tau), "coriolis": (q, qd)}.get(method, (q,))
         same(getattr(fast, method)(*given, p), getattr(slow, method)(*given, p))
 
 
@@ -127,16 +127,6 @@ def test_what_diverges_shows():
     assert found[[0, 2]].isfinite().all()
     assert not found[1].isfinite().any()
     same(found, slow.forward(q, qd, tau, paper_arm().parameters()))
-
-
-def test_driven_joints_and_places():
-    tree = mobile_arm(driven=True)
-    fast, slow = both(tree)
-    p = tree.parameters()
-    path = Driven(*random_state(1, 0, batch=(9,)))
-    q, qd, qdd = random_state(tree.num_joints, 5, batch=(9,))
-    same(fast.keypoints(q, p, path), slow.keypoints(q, p, path))
-    same(fast.inverse(q, qd, qdd, p, path), slow.inverse(q, qd, qdd, p, path))
 
 
 def test_compiled_once_torch_has_spent_what_it_costs(caplog):
