@@ -9,7 +9,6 @@ from .bodies.mjcf_writer import write_mjcf as write_mjcf
 from .bodies.person import person as person
 from .bodies.planar import BodyParameters as BodyParameters
 from .bodies.protocol import ArticulatedBody as ArticulatedBody
-from .bodies.protocol import BodyBase as BodyBase
 from .bodies.scalars import BodyError as BodyError
 from .bodies.scalars import Learned as Learned
 from .conditionally_linear import ConditionallyLinear as ConditionallyLinear

@@ -37,7 +37,7 @@ from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Motion
 from invdyn.models.bodies.link import Link, ordered
-from invdyn.models.bodies.protocol import BodyBase, kept_as
+from invdyn.models.bodies.protocol import ArticulatedBody, kept_as
 from invdyn.models.bodies.rotations import numbers
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, check_name, nominal, prior
 from invdyn.models.bodies.sticks import Sticks
@@ -48,7 +48,7 @@ POSITIVE = ("mass", "length", "inertia", *(f"inertia_{name}" for name in NAMES[:
 
 
 @dataclass(frozen=True)
-class Body(FromFiles, BodyBase):
+class Body(FromFiles, ArticulatedBody):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
     `uncertainty` has relative sds of all masses (in the plane of length, com and inertia, too), and of joints' parts by

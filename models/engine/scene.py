@@ -19,7 +19,7 @@ import torch
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.body_xml import MOST_BYTES, parse
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
-from invdyn.models.bodies.protocol import BodyBase
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole
 from invdyn.models.engine.chart import Chart
@@ -44,7 +44,7 @@ class Gravity(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Scene(BodyBase):
+class Scene(ArticulatedBody):
     """A compiled MuJoCo model with sensors for all of its sites; the body that an observation is bound to.
 
     Attributes:

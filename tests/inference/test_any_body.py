@@ -24,7 +24,7 @@ from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.methods.smc import smc
 from invdyn.models import (
     ArmModel,
-    BodyBase,
+    ArticulatedBody,
     Dynamics,
     Encoders,
     Keypoints,
@@ -49,7 +49,7 @@ class Masses(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Points(BodyBase):
+class Points(ArticulatedBody):
     """Point masses on massless links."""
 
     name: str

@@ -7,7 +7,6 @@ import torch
 
 from invdyn.models import (
     ArmModel,
-    ArticulatedBody,
     Body,
     Encoders,
     Joint,
@@ -33,8 +32,6 @@ def model_of(body, **options):
 
 @pytest.fixture
 def both():
-    assert isinstance(ARM, ArticulatedBody)
-    assert isinstance(ARM.in_space(), ArticulatedBody)
     return model_of(ARM), model_of(ARM.in_space())
 
 
