@@ -24,7 +24,6 @@ from invdyn.inference.filters.memory import check_memory
 from invdyn.inference.held_out import log_score
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.inference.posterior.scores import score_table
 from invdyn.inference.task import Task, prepare
 from invdyn.models import ArticulatedBody
 from invdyn.models.state_space import UnknownParameter
@@ -91,8 +90,9 @@ def compare(
     found = run_methods(
         whole,
         methods,
-        scores=_scores,
-        monitored=_torques,
+        "torque",
+        _true_torque,
+        recording.name,
         replicates=replicates,
         isolate=isolate,
         progress=progress,
@@ -103,13 +103,12 @@ def compare(
         for method in found.posteriors:
             try:
                 scored, *_ = launch(head, method, progress=named(progress, f"{method} without the tail"))
-                found.rows[method]["log_score"] = log_score(future, scored, whole.path, seed)
+                found.table.loc[method, "log_score"] = log_score(future, scored, whole.path, seed)
             except Exception as error:  # the others are still scored
                 found.note(method, f"no log score: {first_line(error)}")
     if missing:
         found.notes["all"] = f"no log score: {missing}"
-    seen = 0 if head is None else _seen(whole, head)
-    return Comparison(found.table(), found.posteriors, found.failures, found.notes, seen, isolate, recording.name, seed)
+    return found if head is None else replace(found, held_out=_seen(whole, head))
 
 
 def _split(
@@ -146,18 +145,7 @@ def _seen(whole: Task, head: Task) -> int:
     return int((~torch.isnan(tail)).any(-1).sum())
 
 
-def _scores(idata: az.InferenceData) -> dict[str, float]:
-    """Of each joint's torque, against the truth where it is known."""
-    if "truth_torque" not in idata["constant_data"]:
-        return {}
-    torque = idata["posterior"]["torque"].transpose("chain", "draw", "time", "joint").values
-    truth = idata["constant_data"]["truth_torque"].transpose("time", "joint").values
-    draws = torque.reshape(-1, *torque.shape[2:])
-    scores = score_table(draws, np.full(len(draws), 1 / len(draws)), truth)
-    joints = idata["posterior"]["joint"].values
-    return {f"{joint}_{name}": float(score[k]) for k, joint in enumerate(joints) for name, score in scores.items()}
-
-
-def _torques(idata: az.InferenceData) -> np.ndarray:
-    """Draws (chain, draw, …) of the torques, whose mixing is stated."""
-    return idata["posterior"]["torque"].transpose("chain", "draw", ...).values
+def _true_torque(idata: az.InferenceData) -> np.ndarray | None:
+    """(T, K), where it is known."""
+    known = idata["constant_data"].get("truth_torque")
+    return None if known is None else known.transpose("time", "joint").values

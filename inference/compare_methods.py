@@ -8,7 +8,6 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-import arviz as az
 import numpy as np
 import torch
 
@@ -17,7 +16,6 @@ from invdyn.inference.contract import ModelError
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.infer_states import generic_methods, given_sizes, parameter_sizes, state_space_task
-from invdyn.inference.posterior.scores import score_table
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -76,30 +74,14 @@ def compare_methods(
     if known is not None and known.shape != shape:
         raise ModelError(f"expected true states of shape {shape}, got {known.shape}")
 
-    def scores(idata: az.InferenceData) -> dict[str, float]:
-        return {} if known is None else _scores(idata, known)
-
-    found = run_methods(
+    return run_methods(
         task,
         methods,
-        scores=scores,
-        monitored=_states,
+        "state",
+        lambda idata: known,
+        name,
         replicates=replicates,
         isolate=isolate,
         progress=progress,
         executor=executor,
     )
-    return Comparison(found.table(), found.posteriors, found.failures, found.notes, 0, isolate, name, seed)
-
-
-def _states(idata: az.InferenceData) -> np.ndarray:
-    return idata["posterior"]["state"].transpose("chain", "draw", "time", "state_name").values
-
-
-def _scores(idata: az.InferenceData, truth: np.ndarray) -> dict[str, float]:
-    """Of each state against the truth."""
-    states = _states(idata)
-    draws = states.reshape(-1, *states.shape[2:])
-    scores = score_table(draws, np.full(len(draws), 1 / len(draws)), truth)
-    names = idata["posterior"]["state_name"].values
-    return {f"{name}_{score}": float(each[k]) for k, name in enumerate(names) for score, each in scores.items()}

@@ -25,7 +25,7 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,13 +38,16 @@ import cloudpickle
 import numpy as np
 import pandas as pd
 import torch
+import xarray as xr
 
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
+from invdyn.inference.mcmc.mixing import mixing
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.inference.posterior.scores import score_table
 from invdyn.recordings import InputError
 from invdyn.recordings.errors import first_line
 
@@ -96,6 +99,10 @@ class Comparison:
     recording: str
     seed: int
 
+    def note(self, method: str, note: str) -> None:
+        """Add a note on a method to those that it has."""
+        self.notes[method] = "; ".join(filter(None, [self.notes.get(method, ""), note]))
+
     def to_dict(self) -> dict[str, Any]:
         """All but the posteriors, as JSON has it: None where there is no number."""
         rows = json.loads(self.table.to_json(orient="index", double_precision=15))
@@ -141,31 +148,6 @@ def kept(
     return idata, seconds, memory
 
 
-@dataclass
-class Rows:
-    """What the runs of several methods leave, by method: rows of the table, posteriors, failures and notes."""
-
-    rows: dict[str, dict[str, Any]]
-    posteriors: dict[str, az.InferenceData]
-    failures: dict[str, str]
-    notes: dict[str, str]
-
-    def note(self, method: str, note: str) -> None:
-        """Add a note on a method to those that it has."""
-        self.notes[method] = "; ".join(filter(None, [self.notes.get(method, ""), note]))
-
-    def table(self) -> pd.DataFrame:
-        """One row a method: the columns at the top of the file, and the reason of a failure."""
-        found = [name for row in self.rows.values() for name in row if name not in COLUMNS]
-        order = [*dict.fromkeys(found), *COLUMNS]
-        table = pd.DataFrame.from_dict(self.rows, orient="index").reindex(columns=order)
-        table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
-        table["usable"] = table["usable"].astype(object)
-        table["failure"] = [self.failures.get(method, "") for method in table.index]
-        table.index.name = "method"
-        return table
-
-
 def checked_methods(
     methods: Sequence[str], known: Sequence[str], replicates: int, isolate: bool, executor: Executor | None
 ) -> tuple[str, ...]:
@@ -183,29 +165,32 @@ def checked_methods(
 def run_methods(
     task: Runnable,
     methods: Sequence[str],
+    variable: str,
+    truth: Callable[[az.InferenceData], np.ndarray | None],
+    name: str,
     *,
-    scores: Callable[[az.InferenceData], Mapping[str, float]],
-    monitored: Callable[[az.InferenceData], np.ndarray],
     replicates: int = 1,
     isolate: bool = False,
     progress: Progress | None = None,
     executor: Executor | None = None,
-) -> Rows:
-    """Run each method; one that fails leaves its reason, and the others still run.
+) -> Comparison:
+    """Run each method; one that fails leaves its reason, and the others still run. No row is held out.
 
     Args:
         task: what each runs on.
         methods: keys of ``METHODS``.
-        scores: of a posterior, against the truth.
-        monitored: draws (chain, draw, …) of a posterior whose mixing is stated.
+        variable: of the posteriors, (chain, draw, time, …), whose errors and mixing are stated.
+        truth: of a posterior's variable, (T, …); None where it is not known.
+        name: of the data.
         replicates: runs of each method, with seeds of their own; the first one is the one that is reported.
         isolate, progress, executor: as :func:`.compare.compare` takes them.
     """
-    found = Rows({}, {}, {}, {})
+    rows: dict[str, dict[str, Any]] = {}
+    found = Comparison(pd.DataFrame(), {}, {}, {}, 0, isolate, name, task.seed)
     launch: Launch = partial(kept, in_own_process if isolate else measured)
     places = {} if isolate else {"executor": executor}
     for method in methods:
-        found.rows[method] = {}
+        rows[method] = {}
         try:
             idata, seconds, memory = launch(task, method, progress=named(progress, method), **places)
         except Exception as error:
@@ -214,10 +199,11 @@ def run_methods(
         found.posteriors[method] = idata
         if doubt := evidence_note(idata):
             found.note(method, f"evidence {doubt}")
+        draws = idata["posterior"][variable].transpose("chain", "draw", "time", ...)
         row: dict[str, Any] = {
-            **scores(idata),
+            **errors(draws, truth(idata)),
             **evidence(idata),
-            **mixing_figures(idata, monitored(idata)),
+            **mixing_figures(idata, draws.values),
             **loo(idata),
         }
         row |= {"seconds": seconds, "memory": memory, "ess_per_second": row["ess_bulk"] / seconds}
@@ -230,8 +216,19 @@ def run_methods(
         except Exception as error:
             found.note(method, f"replicate {len(values) + 1} failed: {first_line(error)}")
         scatter = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-        found.rows[method] = row | {"replicates": len(values), "replicates_sd": scatter}
-    return found
+        rows[method] = row | {"replicates": len(values), "replicates_sd": scatter}
+    return replace(found, table=_table(rows, found.failures))
+
+
+def _table(rows: dict[str, dict[str, Any]], failures: dict[str, str]) -> pd.DataFrame:
+    """One row a method: the columns at the top of the file, and the reason of a failure."""
+    own = [name for row in rows.values() for name in row if name not in COLUMNS]
+    table = pd.DataFrame.from_dict(rows, orient="index").reindex(columns=[*dict.fromkeys(own), *COLUMNS])
+    table["evidence_kind"] = table["evidence_kind"].astype(object).where(table["evidence_kind"].notna(), "")
+    table["usable"] = table["usable"].astype(object)
+    table["failure"] = [failures.get(method, "") for method in table.index]
+    table.index.name = "method"
+    return table
 
 
 def _reseeded(task: Any, number: int) -> Any:
@@ -239,6 +236,16 @@ def _reseeded(task: Any, number: int) -> Any:
     other = replace(task, seed=derived(task.seed, REPLICATES, number))
     checkpoint = inside(getattr(task, "checkpoint", None), f"replicate-{number}")
     return other if checkpoint is None else replace(other, checkpoint=checkpoint)
+
+
+def errors(draws: xr.DataArray, truth: np.ndarray | None) -> dict[str, float]:
+    """Of each joint's torque or each state, (chain, draw, time, name), against the truth (T, …)."""
+    if truth is None:
+        return {}
+    values = draws.values.reshape(-1, *draws.shape[2:])
+    scores = score_table(values, np.full(len(values), 1 / len(values)), truth)
+    names = draws[draws.dims[-1]].values
+    return {f"{name}_{score}": float(each[k]) for k, name in enumerate(names) for score, each in scores.items()}
 
 
 def mixing_figures(idata: az.InferenceData, draws: np.ndarray, max_numbers: int = 200) -> dict[str, float]:
@@ -255,15 +262,11 @@ def mixing_figures(idata: az.InferenceData, draws: np.ndarray, max_numbers: int 
     if not varying.any() or numbers.shape[1] < 4:
         return dict.fromkeys(("r_hat", "ess_bulk", "ess_tail", "mcse"), math.nan)
 
-    data = az.convert_to_dataset({"x": numbers[..., varying]})
+    numbers = numbers[..., varying]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # copies of one draw divide zero by zero: R-hat is then infinite
-        computed = {
-            "r_hat": float(az.rhat(data)["x"].max()),
-            "ess_bulk": float(az.ess(data, method="bulk")["x"].min()),
-            "ess_tail": float(az.ess(data, method="tail")["x"].min()),
-        }
-    mcse = az.mcse(data, method="mean")["x"].to_numpy() / numbers[..., varying].std((0, 1))
+        computed = mixing(numbers)
+        mcse = az.mcse(az.convert_to_dataset({"x": numbers}), method="mean")["x"].to_numpy() / numbers.std((0, 1))
     return computed | {name: stated[name] for name in computed if name in stated} | {"mcse": float(np.nanmax(mcse))}
 
 
