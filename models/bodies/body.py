@@ -14,7 +14,7 @@ A body of two `dimensions` is a chain of sticks in the plane, which keypoints sh
 Denavit–Hartenberg: θ₁ is counted from the x axis, each further angle from the parent link, counter-clockwise positive;
 a limb that hangs down has θ₁ = −π/2. Its numbers are fewer, see :mod:`.planar`.
 
-Files: `body_toml.py`, `tree_toml.py`, `body_mjcf.py`, `body_urdf.py`; tables of Denavit and Hartenberg: `dh.py`.
+Files: `body_toml.py`, `body_mjcf.py`, `body_urdf.py`; tables of Denavit and Hartenberg: `dh.py`.
 """
 
 import math
@@ -37,7 +37,7 @@ from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
 from invdyn.models.bodies.joint_parts import JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Motion
 from invdyn.models.bodies.link import Link, ordered
-from invdyn.models.bodies.protocol import ArticulatedBody, kept_as
+from invdyn.models.bodies.protocol import kept_as
 from invdyn.models.bodies.rotations import numbers
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, check_name, nominal, prior
 from invdyn.models.bodies.sticks import Sticks
@@ -48,7 +48,7 @@ POSITIVE = ("mass", "length", "inertia", *(f"inertia_{name}" for name in NAMES[:
 
 
 @dataclass(frozen=True)
-class Body(FromFiles, ArticulatedBody):
+class Body(FromFiles):
     """A tree of links; `gravity` m/s² in the world's frame, z up unless it says otherwise.
 
     `uncertainty` has relative sds of all masses (in the plane of length, com and inertia, too), and of joints' parts by

@@ -1,5 +1,7 @@
 """Body files: TOML text to plain tables and back, with every complaint naming the file.
 
+A chain in the plane:
+
     name = "bench arm"
     gravity = [0.0, -9.81]      # m/s², in the recording's frame; this is the default
     base = [0.0, 0.0]           # m, the first joint; this is the default
@@ -20,25 +22,65 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
     mass = {start = 1.5}            # learned from the recording, beginning here
 
 A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`.
+
+A tree in space:
+
+    name = "paper's arm"
+    dimensions = 3              # what tells such a file from a planar one, which has none of it
+    gravity = [0.0, 0.0, -9.81] # m/s², in the world's frame; this is the default
+
+    [[links]]
+    name = "upper_arm"
+    joint = "shoulder"
+    parent = "world"            # a link's name; default the link before, the world for the first one
+    type = "universal"          # hinge (default), slide, fixed, universal, ball, translation, free: see joints.py
+    chart = "zy"                # of a universal, ball or free joint; these are the defaults: "zy" and "zyx"
+    origin = [0.0, 0.0, 0.0]    # m, the joint in the parent's frame; default the parent's tip, where it has one
+    rpy = [0.0, 0.0, 0.0]       # rad, the joint's frame in the parent's; or quaternion = [w, x, y, z],
+                                # or axes = [[…], […], […]], its x, y and z axes
+    length = 0.3                # m, a stick along x; its tip, com and inertia then follow (planar files' defaults)
+    tip = "elbow"               # the site at its far end
+    mass = 1.5                  # kg; default 0
+
+    [[links]]
+    name = "forearm"
+    joint = "elbow"
+    axis = [0.0, 1.0, 0.0]      # of a hinge or slide, in the joint's frame; default [0, 0, 1]
+    mass = 1.0
+    com = [0.12, 0.0, 0.0]      # m, in the link's frame
+    inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
+    sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}   # m, named points
+    damping = 0.1               # of a hinge or slide: this and what else `joint_parts_toml.py` says
+
+`reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be
+a table, as above; each of com, inertia, origin and a site's too. A load's `at` has three numbers, in the link's frame.
 """
 
 import difflib
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pyro.distributions as dist
 
 from invdyn.models.bodies import joint_parts_toml
+from invdyn.models.bodies.joints import WORLD
+from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
+from invdyn.models.bodies.tree_parameters import vector_of
 from invdyn.models.bodies.whole_file import write_whole
 
-BODY_KEYS = ("name", "gravity", "base", "links", "uncertainty")
-REQUIRED = ("name", "joint", "tip", "length", "mass")
-LINK_KEYS = (*REQUIRED, "com", "inertia")
+REQUIRED = ("name", "joint")
+PLANAR_REQUIRED = (*REQUIRED, "tip", "length", "mass")
+ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
+JOINT_KEYS = ("type", "axis", "chart")
+VECTORS = ("origin", "com", "inertia")
 LOAD = "load"
 """A point mass that a link carries, see :mod:`.load`."""
+PLANAR_KEYS = (*PLANAR_REQUIRED, "com", "inertia")
+TREE_KEYS = (*PLANAR_KEYS, "parent", *JOINT_KEYS, "reference", *ROTATIONS, "origin", "sites")
 
 
 def parse(content: bytes, path: str) -> dict:
@@ -55,12 +97,16 @@ def parse(content: bytes, path: str) -> dict:
         raise BodyError(f"{path}: expected a body, got TOML with an integer too long to be read") from None
 
 
-def of(tables: dict, path: str) -> dict:
-    """Return a body's tables under the keys of `BODY_KEYS`; `links` as a list of dicts.
+def of(tables: dict, path: str) -> tuple[dict, int]:
+    """What a body is made of, its links as a list of dicts, and its dimensions, of a file's tables.
 
-    A link's scalars come as float, prior or `Learned`. A body without a name is called as its file. Raises `BodyError`
-    for tables that are no body, unknown or missing keys, and what is not a scalar.
+    A link's scalars come as float, prior or `Learned`, the joint of one in space as a dict. A body without a name is
+    called as its file. Raises `BodyError` for tables that are no body, unknown or missing keys, and what is not a
+    scalar.
     """
+    dimensions = tables.get("dimensions", 2)
+    if isinstance(dimensions, bool) or dimensions not in (2, 3):
+        raise BodyError(f"{path}: expected dimensions = 2 (the default) or 3, got {dimensions!r:.40}")
     links = tables.get("links")
     if links is None:
         close = difflib.get_close_matches("links", list(tables), n=1, cutoff=0.7)
@@ -68,13 +114,17 @@ def of(tables: dict, path: str) -> dict:
         raise BodyError(f"{path}: not a body: expected [[links]] tables, one for each link, got none{hint}")
     if not isinstance(links, list) or not all(isinstance(link, dict) for link in links):
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
-    tables = with_uncertainty(tables, path)
-    check_keys(tables, BODY_KEYS, str(path))
-    tables["links"] = [_read_link(link, f"{path}: link {place}") for place, link in enumerate(links, 1)]
-    return {"name": Path(path).stem, **tables}
+    tables = {key: value for key, value in _with_uncertainty(tables, path).items() if key != "dimensions"}
+    base = ("base",) if dimensions == 2 else ()
+    check_keys(tables, ("name", "gravity", *base, "links", "uncertainty"), path)
+    found: list[dict] = []
+    for place, link in enumerate(links, 1):
+        before = {} if dimensions == 2 else {"parent": found[-1]["name"] if found else WORLD}
+        found.append(before | _read_link(dict(link), dimensions == 2, f"{path}: link {place}"))
+    return {"name": Path(path).stem, **tables, "links": found}, dimensions
 
 
-def with_uncertainty(tables: dict, path: str | Path) -> dict:
+def _with_uncertainty(tables: dict, path: str) -> dict:
     """A file's tables, with keys such as damping.elbow as one word each, which TOML takes for a table in a table.
 
     Raises `BodyError` for an [uncertainty] that is no table.
@@ -88,19 +138,44 @@ def with_uncertainty(tables: dict, path: str | Path) -> dict:
     return tables | {"uncertainty": {key: sd for key, sd in stated.items() if not isinstance(sd, dict)} | inner}
 
 
-def uncertainty_lines(stated: Mapping[str, float]) -> list[str]:
-    """Lines that say the same; none of nothing."""
-    return ["", "[uncertainty]", *(f"{_key(k)} = {literal(v)}" for k, v in stated.items())] if stated else []
-
-
-def write(path: str | Path, tables: dict) -> None:
-    """Write tables as `of` returns them. Raises `OSError`, and `BodyError` for an unknown kind of prior."""
-    lines = [f"{key} = {literal(tables[key])}" for key in ("name", "gravity", "base")]
-    for link in tables["links"]:
-        values = {key: scalar_to_table(value, key) for key, value in link.items() if value is not None}
+def write(
+    path: str | Path,
+    name: str,
+    dimensions: int,
+    gravity: Sequence[float],
+    links: Sequence[Link],
+    uncertainty: Mapping[str, float],
+) -> None:
+    """Write a body's file. Raises `OSError`, and `BodyError` for a prior that no file can express."""
+    lines = [f"name = {literal(name)}"]
+    if dimensions == 3:
+        lines += ["dimensions = 3", f"gravity = {literal(gravity)}"]
+    else:
+        base = [nominal(x) for x in links[0].origin or (0.0, 0.0)][:2]
+        lines += [f"gravity = {literal(gravity)}", f"base = {literal(base)}"]
+    for link in links:
+        values = _written(link, dimensions == 2)
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]
-    lines += uncertainty_lines(tables["uncertainty"])
+    if uncertainty:
+        lines += ["", "[uncertainty]", *(f"{_key(k)} = {literal(v)}" for k, v in uncertainty.items())]
     write_whole(path, "\n".join(lines) + "\n")
+
+
+def _written(link: Link, planar: bool) -> dict:
+    values: dict = {"name": link.name, "joint": link.joint.name}
+    scalars = {key: getattr(link, key) for key in QUANTITIES}
+    if not planar:
+        values["parent"] = link.parent
+        for key, rows in (("axes", link.rotation), ("reference", link.joint.reference)):
+            if rows != UNTURNED:
+                values[key] = list(zip(*rows, strict=True))
+        values |= {key: value for key in JOINT_KEYS if (value := getattr(link.joint, key)) != ""}
+        scalars |= {key: vector_of(link, key) for key in ("com", "inertia")} | {"origin": link.origin}
+    values |= {"tip": link.tip} if link.tip else {}
+    values |= {key: _scalars_to_table(value, key) for key, value in scalars.items() if value is not None}
+    values |= joint_parts_toml.table(link.parts)
+    sites = {name: _scalars_to_table(at, name) for name, at in link.sites.items()}
+    return values | ({"sites": sites} if sites else {})
 
 
 def _key(name: str) -> str:
@@ -108,14 +183,49 @@ def _key(name: str) -> str:
     return name if name.isidentifier() and name.isascii() else literal(name)
 
 
-def _read_link(link: dict, where: str) -> dict:
+def _read_link(link: dict, planar: bool, where: str) -> dict:
     parts = joint_parts_toml.taken(link, where)
-    check_keys(link, (*LINK_KEYS, LOAD, *joint_parts_toml.KEYS), where)
-    missing = [key for key in REQUIRED if key not in link]
-    if missing:
-        raise BodyError(f"{where}: expected the keys {', '.join(REQUIRED)}; missing: {', '.join(missing)}")
-    scalars = {k: scalar_from_table(v, f"{where}: {k}") if k in QUANTITIES else v for k, v in link.items()}
-    return scalars if parts is None else scalars | {"parts": parts}
+    check_keys(link, (*(PLANAR_KEYS if planar else TREE_KEYS), LOAD, *joint_parts_toml.KEYS), where)
+    required = PLANAR_REQUIRED if planar else REQUIRED
+    if missing := [key for key in required if key not in link]:
+        raise BodyError(f"{where}: expected the keys {', '.join(required)}; missing: {', '.join(missing)}")
+    made = {key: link[key] for key in ("name", "joint", "parent", "tip", LOAD) if key in link}
+    for key in (key for key in QUANTITIES if key in link):
+        several = not planar and key in VECTORS
+        made[key] = (_vector if several else scalar_from_table)(link[key], f"{where}: {key}")
+    if parts is not None:
+        made["parts"] = parts
+    return made if planar else made | _read_place(link, where)
+
+
+def _read_place(link: dict, where: str) -> dict:
+    """What a link in space says of its joint, its frame and its sites."""
+    joint = {"name": link["joint"], **{key: link[key] for key in JOINT_KEYS if key in link}}
+    if "reference" in link:
+        joint["reference"] = _rows(link["reference"], "axes", f"{where}: reference")
+    made: dict = {"joint": joint}
+    said = [key for key in ROTATIONS if key in link]
+    if len(said) > 1:
+        raise BodyError(f"{where}: expected one of {', '.join(ROTATIONS)}, got {' and '.join(said)}")
+    for key in said:
+        made["rotation"] = _rows(link[key], key, f"{where}: {key}")
+    if "origin" in link:
+        made["origin"] = _vector(link["origin"], f"{where}: origin")
+    if "sites" in link:
+        if not isinstance(link["sites"], dict):
+            raise BodyError(f"{where}: expected sites as a table, {{name = [x, y, z]}}, got {link['sites']!r:.60}")
+        made["sites"] = {name: _vector(at, f"{where}: site '{name}'") for name, at in link["sites"].items()}
+    return made
+
+
+def _rows(value: object, key: str, where: str) -> tuple:
+    return tuple(map(tuple, ROTATIONS[key](value, where).tolist()))
+
+
+def _vector(values: object, where: str) -> object:
+    if not isinstance(values, list):
+        return values  # what is no vector at all, `Link` refuses
+    return [scalar_from_table(value, where) for value in values]
 
 
 def scalar_from_table(value: object, what: str) -> object:
@@ -146,6 +256,11 @@ def scalar_to_table(value: str | Scalar, key: str) -> object:
             raise BodyError(f"a body file has log-normal priors, but {key} has a {type(value).__name__}")
         return {"mean": mean, "sd": sd}
     return value
+
+
+def _scalars_to_table(value: object, key: str) -> object:
+    """The same of one scalar or several."""
+    return [scalar_to_table(each, key) for each in value] if isinstance(value, tuple) else scalar_to_table(value, key)
 
 
 def literal(value: object) -> str:

@@ -32,7 +32,7 @@ DUST = 1e-13
 
 
 def tables(robot: Robot, where: str) -> dict:
-    """Name, gravity and links, as :func:`.tree_toml.of` returns them, of a robot.
+    """Name, gravity and links, as :func:`.body_toml.of` returns them, of a robot.
 
     Warns (UserWarning) of what is left out. Raises `BodyError`, which begins with `where`, for parts that do not move.
     """

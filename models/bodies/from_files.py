@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Self
 
@@ -14,10 +13,8 @@ from invdyn.models.bodies import (
     body_tree,
     body_urdf,
     body_xml,
-    joint_parts_toml,
     planar,
     robot_file,
-    tree_toml,
 )
 from invdyn.models.bodies.body_toml import LOAD
 from invdyn.models.bodies.joints import Joint
@@ -25,28 +22,17 @@ from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.load import loaded
 from invdyn.models.bodies.parts import Robot, is_planar_chain
 from invdyn.models.bodies.placeholders import Moment, placeholder_warning
+from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError, nominal
 from invdyn.models.bodies.tree_parameters import vector_of
 from invdyn.models.bodies.whole_file import read_whole
 
 
-class FromFiles:
+class FromFiles(ArticulatedBody):
     """What of a :class:`.Body` has to do with files."""
 
-    name: str
     links: Sequence[Link]
-    gravity: Sequence[float]
     uncertainty: Mapping[str, float]
-
-    @property
-    def is_chain(self) -> bool:
-        """Whether it is a chain of sticks in the plane."""
-        raise NotImplementedError
-
-    @property
-    def base(self) -> tuple[float, ...]:
-        """Where the first joint is, m."""
-        raise NotImplementedError
 
     @classmethod
     def load(cls, path: str | Path, *, filmed: bool = True, dimensions: int | None = None) -> Self:
@@ -76,15 +62,12 @@ class FromFiles:
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a body file. Raises `BodyError`, which names the file, or `OSError` if it cannot be read."""
-        return cls.from_tables(tree_toml.read(path), path)
+        return cls.from_tables(body_toml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), path)
 
     @classmethod
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
         """The body of a TOML file's tables; dimensions = 3 says a tree. See `load`."""
-        if tree_toml.is_in_space(tables, path):
-            return cls._of({"name": Path(path).stem, **tree_toml.of(tables, path)}, path, 3)
-        planar_tables = {key: value for key, value in tables.items() if key != "dimensions"}
-        return cls._of(body_toml.of(planar_tables, str(path)), path, 2)
+        return cls._of(*body_toml.of(tables, str(path)), path)
 
     @classmethod
     def from_mjcf(cls, path: str | Path, dimensions: int | None = None) -> Self:
@@ -108,18 +91,14 @@ class FromFiles:
         if dimensions is None:
             dimensions = 2 if is_planar_chain(robot.parts) else 3
         tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
-        return cls._of(tables | {"exact": False}, path, dimensions)
+        return cls._of(tables | {"exact": False}, dimensions, path)
 
     @classmethod
-    def _of(cls, tables: dict, path: str | Path, dimensions: int) -> Self:
+    def _of(cls, tables: dict, dimensions: int, path: str | Path) -> Self:
         try:
-            if dimensions == 2:
-                own = {key: value for key, value in tables.items() if key != "exact"}
-                chain = planar.chained(**own | {"links": [_link(link) for link in tables["links"]]})
-                body = cls(**chain | {"exact": tables.get("exact", True)})
-            else:
-                links = [_link(link | {"joint": Joint(**link["joint"])}) for link in tables["links"]]
-                body = cls(**tables | {"links": links})
+            own = tables | {"links": [_link(link) for link in tables["links"]]}
+            exact = own.pop("exact", True)
+            body = cls(**(planar.chained(**own) if dimensions == 2 else own), exact=exact)
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
         if strange := placeholder_warning(body.largest_moments()):
@@ -143,20 +122,9 @@ class FromFiles:
 
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
-        if self.is_chain:
-            links = [planar.table(link) | joint_parts_toml.table(link.parts) for link in self.links]
-            given = {"name": self.name, "gravity": self.gravity, "base": self.base, "uncertainty": self.uncertainty}
-            body_toml.write(path, given | {"links": links})
-            return
-        links = [
-            {key.name: getattr(link, key.name) for key in fields(link) if key.name != "parts"}
-            | {key: vector_of(link, key) for key in ("com", "inertia")}
-            | joint_parts_toml.table(link.parts)
-            | {"joint": {key.name: getattr(link.joint, key.name) for key in fields(link.joint)}}
-            for link in self.links
-        ]
-        tree_toml.write(path, self.name, self.gravity, links, self.uncertainty)
+        body_toml.write(path, self.name, self.dimensions, self.gravity, self.links, self.uncertainty)
 
 
 def _link(table: dict) -> Link:
-    return loaded(Link(**{key: value for key, value in table.items() if key != LOAD}), table.get(LOAD))
+    own, joint = {key: value for key, value in table.items() if key != LOAD}, table["joint"]
+    return loaded(Link(**own | {"joint": Joint(**joint) if isinstance(joint, dict) else joint}), table.get(LOAD))

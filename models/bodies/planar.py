@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body_toml import LINK_KEYS
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.placeholders import placeholder
@@ -75,11 +74,6 @@ def chained(
         chain.append(replace(link, **where))
     own = {"name": name, "links": chain, "gravity": vector(gravity, f"body '{name}': gravity in m/s²")}
     return own | {"uncertainty": uncertainty or {}, "dimensions": 2}
-
-
-def table(link: Link) -> dict[str, Any]:
-    """What a planar file says of a link."""
-    return {key: getattr(link, key) for key in LINK_KEYS} | {"joint": link.joint.name}
 
 
 def check_chain(links: Sequence[Link], where: str) -> None:
