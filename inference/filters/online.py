@@ -19,9 +19,8 @@ from torch import Tensor
 from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import Stream
 from invdyn.inference.filters.bootstrap import Bootstrap
-from invdyn.inference.filters.particles import take
 from invdyn.inference.filters.proposal import Particles, Proposal
-from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
+from invdyn.inference.filters.weights import advanced, resampled
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -108,27 +107,19 @@ def _rows(
     filters, size = shape
     itself = torch.arange(size, device=model.device).expand(shape)
     log_weights = torch.full(shape, -math.log(size), dtype=torch.float64, device=model.device)
-    log_evidence, ancestors = log_weights.new_zeros(filters), itself
+    log_evidence = log_weights.new_zeros(filters)
     particles: Particles = {}
     row: OnlineRow | None = None
 
     for t, y in enumerate(rows):
         y = _row(model, y, t)
+        seen = ~y.isnan()
+        entries = y if bool(seen.any()) else None, None if bool(seen.all()) else seen
+        ancestors = itself
         with stream.drawing():
             if row is not None and bool((need := row.ess < ess_threshold * size).any()):
-                ancestors = ancestors_where(need, log_weights, resampling)
-                log_weights = torch.where(need.unsqueeze(-1), -math.log(size), log_weights)
-                particles = {name: take(value, ancestors) for name, value in particles.items()}
-            else:
-                ancestors = itself
-            previous = particles.get("x")
-            particles, increment = guide.propose_initial(shape) if row is None else guide.propose(t, particles)
-
-        seen = ~y.isnan()
-        if bool(seen.any()):
-            emission = model.row_emission(previous, particles["x"], t)
-            increment = increment + row_log_prob(emission, y, None if bool(seen.all()) else seen)
-        log_weights, total, ess = normalised(log_weights, increment)
+                particles, log_weights, ancestors = resampled(need, particles, log_weights, resampling)
+            particles, log_weights, total, ess = advanced(model, guide, t, *entries, particles, log_weights)
         if not bool(torch.isfinite(total).all()):
             raise SMCFailed(
                 f"expected a particle of positive weight, got none at row {t}: use more particles or wider noise"

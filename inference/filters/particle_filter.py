@@ -22,7 +22,7 @@ plain Pyro shapes (N, …).
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyro
@@ -38,9 +38,9 @@ from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.compiled import CompiledRows
 from invdyn.inference.filters.filter_checkpoint import resumed, save
-from invdyn.inference.filters.particles import FilterResult, FilterState, History, take
+from invdyn.inference.filters.particles import FilterResult, FilterState, History
 from invdyn.inference.filters.proposal import Particles, Proposal, PyroSteps
-from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
+from invdyn.inference.filters.weights import Row, advanced, normalised, resampled
 from invdyn.models.divergence import ran_away
 
 PATIENCE = 1000
@@ -51,15 +51,6 @@ CARRIED = ("log_weights", "log_evidence", "ancestors")
 
 _TWIST = object()
 """Key next to those of Pyro's state, of which none can be the same."""
-
-
-class Row(NamedTuple):
-    """What a row leaves behind: weights (M, N), normalised; total and ESS (M,)."""
-
-    particles: Particles
-    log_weights: Tensor
-    total: Tensor
-    ess: Tensor
 
 
 class ParticleFilter(SMCFilter):
@@ -101,7 +92,7 @@ class ParticleFilter(SMCFilter):
         self.num_filters = num_filters
         self.resampling = resampling
         self.compiled = compiled
-        self._rows = CompiledRows(self._advance)
+        self._rows = CompiledRows(lambda *row: advanced(self.model, self.guide, *row))
         self.batch = (num_particles,) if num_filters is None else (num_filters, num_particles)
         self.state = FilterState(self.batch)
         self._restart()
@@ -281,20 +272,7 @@ class ParticleFilter(SMCFilter):
             # Rows in which nothing was seen share the graph of those with gaps.
             owners = (self.guide, self.model)
             return Row(*self._rows(owners, self._numbers[t], y, seen, particles, self._log_weights))
-        return self._advance(t, y if any_seen else None, seen, particles, self._log_weights)
-
-    def _advance(
-        self, t: int | Tensor, y: Tensor | None, seen: Tensor | None, particles: Particles, log_weights: Tensor
-    ) -> Row:
-        """Draw row t's particles and weigh them; t as a tensor (1,) for rows that are neither first nor last."""
-        guide: Proposal = self.guide
-        first = isinstance(t, int) and t == 0
-        drawn, increment = guide.propose_initial(tuple(log_weights.shape)) if first else guide.propose(t, particles)
-        if y is not None:
-            increment = increment + row_log_prob(self.model.row_emission(particles.get("x"), drawn["x"], t), y, seen)
-        if "log_twist" in drawn:
-            increment = increment + drawn["log_twist"] - particles.get("log_twist", 0.0)
-        return Row(drawn, *normalised(log_weights, increment))
+        return advanced(self.model, self.guide, t, y if any_seen else None, seen, particles, self._log_weights)
 
     def _need(self, last: bool) -> Tensor:
         """Which filters (…) are to be resampled; the last row's weights are the posterior's, and stay."""
@@ -307,10 +285,9 @@ class ParticleFilter(SMCFilter):
         if synchronous and not bool(self.resampled.any()):
             self.ancestors = self._itself
             return particles
-        self.ancestors = ancestors_where(self.resampled, self._log_weights, self.resampling)
-        uniform = -math.log(self.num_particles)
-        self._log_weights = torch.where(self.resampled.unsqueeze(-1), uniform, self._log_weights)
-        return {name: take(value, self.ancestors) for name, value in particles.items()}
+        found = resampled(self.resampled, particles, self._log_weights, self.resampling)
+        particles, self._log_weights, self.ancestors = found
+        return particles
 
     def _alive(self, totals: Tensor, first: int, states: Tensor | None = None) -> None:
         """Raise SMCFailed unless the evidence's increments (R, …) of the rows from ``first`` on are finite.

@@ -1,4 +1,4 @@
-"""The arithmetic of particle weights, as functions without side effects: of the filter and of its bound.
+"""The arithmetic of particle weights, as functions without side effects: of filters and of their bound.
 
     log w = log W + increment,   total = log Σ_n w^n,   log W' = log w − total,   ESS = (Σ w)² / Σ w²
 
@@ -6,13 +6,57 @@ Shapes: N particles in the last dimension, any number of filters before it. Weig
 for any type of the states. Nothing here reads a value from the device, so that a row costs no wait.
 """
 
+import math
+from typing import NamedTuple
+
 import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.inference.filters.particles import take
+from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.filters.resampling import resample
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.models.state_space import StateSpaceModel
+
+
+class Row(NamedTuple):
+    """What a row leaves behind: weights (M, N), normalised; total and ESS (M,)."""
+
+    particles: Particles
+    log_weights: Tensor
+    total: Tensor
+    ess: Tensor
+
+
+def advanced(
+    model: StateSpaceModel,
+    guide: Proposal,
+    t: int | Tensor,
+    y: Tensor | None,
+    seen: Tensor | None,
+    particles: Particles,
+    log_weights: Tensor,
+) -> Row:
+    """Draw row t's particles and weigh them.
+
+    t is a tensor (1,) in compiled rows, of which none is the first; y is None where nothing was seen, ``seen`` where
+    all of it was.
+    """
+    first = isinstance(t, int) and t == 0
+    drawn, increment = guide.propose_initial(tuple(log_weights.shape)) if first else guide.propose(t, particles)
+    if y is not None:
+        increment = increment + row_log_prob(model.row_emission(particles.get("x"), drawn["x"], t), y, seen)
+    if "log_twist" in drawn:
+        increment = increment + drawn["log_twist"] - particles.get("log_twist", 0.0)
+    return Row(drawn, *normalised(log_weights, increment))
+
+
+def resampled(need: Tensor, particles: Particles, log_weights: Tensor, scheme: str) -> tuple[Particles, Tensor, Tensor]:
+    """The particles that go on, their log-weights and their ancestors (…, N); others where ``need`` (…) says so."""
+    ancestors = ancestors_where(need, log_weights, scheme)
+    log_weights = torch.where(need.unsqueeze(-1), -math.log(log_weights.shape[-1]), log_weights)
+    return {name: take(value, ancestors) for name, value in particles.items()}, log_weights, ancestors
 
 
 def normalised(log_weights: Tensor, increment: Tensor) -> tuple[Tensor, Tensor, Tensor]:

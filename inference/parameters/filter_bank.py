@@ -16,10 +16,9 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.filters.bootstrap import Bootstrap
-from invdyn.inference.filters.particles import take
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.filters.resampling import categorical
-from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
+from invdyn.inference.filters.weights import advanced, resampled
 from invdyn.inference.parameters.unconstrained import unvalidated
 from invdyn.models.state_space import StateSpaceModel
 
@@ -59,33 +58,20 @@ class FilterBank:
             guide: of the model at the bank's M parameter sets.
             y: (O,), NaN where missing, or (M, 1, O), complete.
         """
-        itself = torch.arange(self.num_particles).expand(self._log_weights.shape)
-        parents, before = itself, self._particles
+        parents = torch.arange(self.num_particles).expand(self._log_weights.shape)
+        need = self._ess < self.ess_threshold * self.num_particles
+        seen = ~torch.isnan(y)
         with unvalidated():
-            if self.row == 0:
-                drawn, increment = guide.propose_initial(tuple(self._log_weights.shape))
-            else:
-                need = self._ess < self.ess_threshold * self.num_particles
-                if bool(need.any()):
-                    parents = ancestors_where(need, self._log_weights, "systematic")
-                    self._log_weights = torch.where(
-                        need.unsqueeze(-1), -math.log(self.num_particles), self._log_weights
-                    )
-                    before = {name: take(value, parents) for name, value in before.items()}
-                drawn, increment = guide.propose(self.row, before)
-            seen = ~torch.isnan(y)
-            if bool(seen.any()):
-                emission = guide.model.row_emission(before.get("x"), drawn["x"], self.row)
-                increment = increment + row_log_prob(emission, y, None if bool(seen.all()) else seen)
-        if "log_twist" in drawn:
-            increment = increment + drawn["log_twist"] - before.get("log_twist", 0.0)
-
-        self._log_weights, total, self._ess = normalised(self._log_weights, increment)
-        self._particles = drawn
+            if self.row > 0 and bool(need.any()):
+                found = resampled(need, self._particles, self._log_weights, "systematic")
+                self._particles, self._log_weights, parents = found
+            entries = y if bool(seen.any()) else None, None if bool(seen.all()) else seen
+            row = advanced(guide.model, guide, self.row, *entries, self._particles, self._log_weights)
+        self._particles, self._log_weights, total, self._ess = row
         self.log_evidence = self.log_evidence + total
         self.row += 1
         if self.keep:
-            self._states.append(drawn["x"])
+            self._states.append(row.particles["x"])
             self._parents.append(parents)
         return total
 

@@ -4,9 +4,10 @@ import oracles
 import pytest
 import torch
 
-from invdyn.inference import Bootstrap, Controlled, ParticleFilter
+from invdyn.inference import Bootstrap, Controlled
 from invdyn.inference.filters.column_layout import by_columns, recorded, stored_by_columns
 from invdyn.inference.filters.particles import take
+from invdyn.inference.filters.weights import advanced
 from invdyn.models import ArmModel, Keypoints, Link, Matern32, Observation, planar_body
 from invdyn.models.effects import CoulombFriction, Outliers, SoftTissue, ViscousFriction
 from invdyn.models.shapes import by_column, stacked
@@ -39,7 +40,6 @@ MODELS = {
 
 def rows(model, guide, y, seen):
     """Outputs of row 2, plain and by columns, from the same random numbers."""
-    particle_filter = ParticleFilter(model, guide, N, num_filters=M)
     torch.manual_seed(0)
     before = guide.propose_initial((M, N))[0]
     before = guide.propose(1, before)[0]
@@ -48,7 +48,7 @@ def rows(model, guide, y, seen):
     names = []
 
     def row(t, log_weights, *values):
-        after, *others = particle_filter._advance(t, y, seen, dict(zip(before, values, strict=True)), log_weights)
+        after, *others = advanced(model, guide, t, y, seen, dict(zip(before, values, strict=True)), log_weights)
         names[:] = after
         return *after.values(), *others
 
