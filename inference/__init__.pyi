@@ -75,7 +75,6 @@ from .posterior.initialise import arm_problem as arm_problem
 from .posterior.mechanics import mechanics as mechanics
 from .posterior.posterior import evidence_note as evidence_note
 from .posterior.posterior import pooled as pooled
-from .posterior.posterior import summarise as summarise
 from .posterior.problem import StateSpaceProblem as StateSpaceProblem
 from .smoothing.forward_backward import ForwardBackward as ForwardBackward
 from .smoothing.forward_backward import forward_backward as forward_backward

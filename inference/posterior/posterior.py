@@ -28,7 +28,6 @@ from typing import Any
 
 import arviz as az
 import numpy as np
-import pandas as pd
 import torch
 import xarray as xr
 from torch import Tensor
@@ -284,10 +283,3 @@ def pooled(idata: az.InferenceData, group: str = "posterior") -> xr.Dataset:
     data = idata[group]
     stacked = data.drop_vars([dim for dim in DRAWS if dim in data.coords]).stack(sample=DRAWS, create_index=False)
     return stacked.transpose("sample", ...)
-
-
-def summarise(idata: az.InferenceData) -> pd.DataFrame:
-    """``az.summary`` of the torques (mean, sd, 90 % interval, mixing), one row per time and joint."""
-    table = az.summary(idata, var_names=["torque"], hdi_prob=0.9)
-    assert isinstance(table, pd.DataFrame)  # as its argument fmt says
-    return table

@@ -17,7 +17,6 @@ from invdyn.inference import (
     outer_weights,
     pooled,
     save_posterior,
-    summarise,
 )
 from invdyn.inference.posterior.posterior import combine, to_inference_data
 from invdyn.models import Link, planar_body
@@ -237,18 +236,6 @@ def test_pooled_draws_are_those_of_all_chains(everything):
     assert np.array_equal(data["torque"], idata["posterior"]["torque"].values.reshape(M * R, T, K))
     predictive = pooled(idata, "posterior_predictive")
     assert np.array_equal(predictive["angle"], idata["posterior_predictive"]["angle"].values.reshape(M * R, T, K))
-
-
-def test_the_summary_is_arvizs(everything):
-    idata = everything[-1]
-    table = summarise(idata)
-    draws = pooled(idata)["torque"]
-    assert len(table) == T * K
-    assert table["mean"].to_numpy() == pytest.approx(draws.mean("sample").values.ravel(), abs=2e-3)
-    assert table["sd"].to_numpy() == pytest.approx(draws.std("sample", ddof=1).values.ravel(), rel=0.05)
-    assert table.index[1].startswith("torque[")
-    assert "elbow" in table.index[1]
-    assert (table["hdi_5%"] < table["hdi_95%"]).all()
 
 
 def test_parts_are_combined_by_their_evidence():
