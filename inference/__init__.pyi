@@ -37,7 +37,6 @@ from .filters.resampling import RESAMPLERS as RESAMPLERS
 from .filters.resampling import ess as ess
 from .filters.resampling import resample as resample
 from .filters.second_opinion import Evidence as Evidence
-from .filters.variance import filter_variance as filter_variance
 from .filters.variance import log_evidence_variance as log_evidence_variance
 from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import Free as Free

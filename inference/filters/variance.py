@@ -1,4 +1,4 @@
-"""The variance of a filter's estimates from a single run, by who descends from whom.
+"""The variance of a filter's log-evidence from a single run, by who descends from whom.
 
 Lee & Whiteley (2018), "Variance estimation in the particle filter", Biometrika 105; Chan & Lai (2013), "A general
 theory of particle filters in hidden Markov models"; Olsson & Douc (2019), "Numerically stable online estimation of
@@ -42,28 +42,6 @@ def log_evidence_variance(result: FilterResult, *, lag: int | None = None) -> Te
     size = result.states.shape[2]
     total = _from_row_zero(result) if lag is None else _lagged(result, lag)
     return size / (size - 1) * total
-
-
-def filter_variance(result: FilterResult, values: Tensor, *, row: int = -1, lag: int | None = None) -> Tensor:
-    """Estimated variance (M,) of Σ_i W_t^i φ(x_t^i), a filter's mean at a row.
-
-        Σ_k (Σ_{i: a(i) = k} W_t^i (φ^i − φ̄))²,     a(i) the ancestor λ rows before.
-
-    Args:
-        result: of a run that kept all rows, with at least two particles.
-        values: (M, N) φ of row ``row``'s particles, ``result.states[row]``.
-        row: which; the last by default.
-        lag: λ; None looks back to row 0.
-
-    Raises ValueError as :func:`log_evidence_variance`. With a guide that looks ahead the means are those of the
-    twisted filter.
-    """
-    _check(result, lag)
-    row = row % len(result.ess)
-    weights = result.log_weights[row].double().exp()
-    mean = (weights * values).sum(-1, keepdim=True)
-    base = 0 if lag is None else max(row - lag, 0)
-    return _mass(weights * (values - mean), _ancestors(result, row, base)).square().sum(-1)
 
 
 def _from_row_zero(result: FilterResult) -> Tensor:

@@ -11,7 +11,6 @@ from invdyn.inference import (
     Bootstrap,
     Controlled,
     ParticleFilter,
-    filter_variance,
     gauss_newton,
     log_evidence_variance,
 )
@@ -84,15 +83,6 @@ def test_a_lag_outlasts_the_genealogy(chain):
     lagged = log_evidence_variance(result, lag=8)
     assert lagged.mean() / variance == pytest.approx(1, abs=0.35)
     assert log_evidence_variance(result).median() < 0.5 * variance
-
-
-@pytest.mark.parametrize("lag", [None, 3])
-@pytest.mark.parametrize("row", [-1, 6])
-def test_the_variance_of_a_filtered_mean(chain, row, lag):
-    result = runs(chain, 12, 300, 0.5)
-    values = result.states[row][..., 0]
-    means = (result.log_weights[row].exp() * values).sum(-1)
-    assert abs(z(filter_variance(result, values, row=row, lag=lag), means)) < 4
 
 
 def test_a_twisted_filter_counts_its_twist(chain):
