@@ -52,13 +52,7 @@ class StateLayout:
 
     def gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
         """The law of states with this mean (..., D), L of z and deviations (..., H + M + 2 K) of the rest."""
-        if self.diagonal:
-            return Normal(mean, join(root, sds), validate_args=False).to_event(1)
-        shape = common(root.shape[:-2], sds.shape[:-1])
-        tril = mean.new_zeros(*shape, self.size, self.size)
-        tril[..., : self.torque, : self.torque] = root
-        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque :] = sds
-        return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+        return gaussian(mean, root, sds, self.diagonal)
 
     def one_or_other(self, which: Tensor, one: Distribution, other: Distribution) -> Distribution:
         """The law ``one`` where ``which`` (...) says so, else the ``other``, both of :meth:`gaussian`."""
@@ -71,3 +65,14 @@ class StateLayout:
             return Normal(loc, scale, validate_args=False).to_event(1)
         tril = torch.where(here.unsqueeze(-1), one.scale_tril, other.scale_tril)
         return MultivariateNormal(torch.where(here, one.loc, other.loc), scale_tril=tril, validate_args=False)
+
+
+def gaussian(mean: Tensor, root: Tensor, sds: Tensor, diagonal: bool) -> Distribution:
+    """N(mean, diag(L Lᵀ, sds²)) of states (..., D), with L (..., Z, Z), or, where that is ``diagonal``, (..., Z)."""
+    if diagonal:
+        return Normal(mean, join(root, sds), validate_args=False).to_event(1)
+    size, first = mean.shape[-1], root.shape[-1]
+    tril = mean.new_zeros(*common(root.shape[:-2], sds.shape[:-1]), size, size)
+    tril[..., :first, :first] = root
+    tril.diagonal(dim1=-2, dim2=-1)[..., first:] = sds
+    return MultivariateNormal(mean, scale_tril=tril, validate_args=False)

@@ -23,10 +23,11 @@ from typing import Any, NoReturn, Self
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, Normal
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.models.articulated.defaults import Value, WrongValue, shaped
+from invdyn.models.articulated.state import gaussian
 from invdyn.models.articulated.timeline import Timeline
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.drives import Drive, Inputs, JointTorques
@@ -270,16 +271,6 @@ class EngineModel(StateSpaceModel):
         raise BodyError("MuJoCo's step has no derivative here: use smc, laplace, bootstrap or particle-gibbs")
 
     # -- the three distributions -----------------------------------------------------------------
-    def _gaussian(self, mean: Tensor, root: Tensor, sds: Tensor) -> Distribution:
-        """The law with root of the drive's covariance, or deviations, and deviations (..., 2 nv + na) of the rest."""
-        if self.torque.diagonal:
-            return Normal(mean, join(root, sds).expand_as(mean), validate_args=False).to_event(1)
-        lead = torch.broadcast_shapes(root.shape[:-2], sds.shape[:-1])
-        tril = mean.new_zeros(*lead, self.state_dim, self.state_dim)
-        tril[..., : self.torque_size, : self.torque_size] = root
-        tril.diagonal(dim1=-2, dim2=-1)[..., self.torque_size :] = sds
-        return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
-
     def initial(self) -> Distribution:
         """Stationary drive; the configuration, velocities and activations about "initial.…"."""
         p = self.parameters
@@ -293,7 +284,7 @@ class EngineModel(StateSpaceModel):
         mean = join(root.new_zeros(self.torque_size), *middle)
         sd = join(*sds)
         lead = torch.broadcast_shapes(mean.shape[:-1], sd.shape[:-1], root.shape[: -1 if self.torque.diagonal else -2])
-        return self._gaussian(mean.expand(*lead, -1), root, sd)
+        return gaussian(mean.expand(*lead, -1), root, sd, self.torque.diagonal)
 
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
         """MuJoCo's steps into row ``t``, with noise."""
@@ -310,7 +301,7 @@ class EngineModel(StateSpaceModel):
             p["noise.velocity"] * RELAXED_VELOCITY**self.relaxation,
             *more,
         )
-        return self._gaussian(mean, root, sds)
+        return gaussian(mean, root, sds, self.torque.diagonal)
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """What the sensors show in ``state``."""
