@@ -153,9 +153,8 @@ class Task:
     def _draws_keep_fit(self) -> bool:
         """Whether bodies that are drawn have what was learned of them (:func:`.as_fitted`); without, sets have none."""
         body = self.problem.model.body
-        own = [(each.name.removeprefix("body."), each.entries) for each in self.free if each.name.startswith("body.")]
-        known = body.is_chain and all(body.learned.get(quantity) == entries for quantity, entries in own)
-        return known or not (own and body.has_priors)
+        own = any(each.name.startswith("body.") for each in self.free)
+        return body.is_chain or not (own and body.has_priors)
 
     def _over_sets(self, method: str) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
         """The method as it runs on one set of process and parameters, and these sets."""

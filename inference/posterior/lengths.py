@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pyro.distributions import Distribution
 
 from invdyn.models import ArticulatedBody, Body, Learned
 from invdyn.models.bodies.scalars import nominal
@@ -20,8 +21,6 @@ def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> Articu
     lengths are learned from there. A link keeps its own length where an end of it is unseen. Raises InputError for a
     body that has no lengths.
     """
-    if isinstance(body, Body) and body.is_chain:
-        return body.with_values(length=observed_lengths(recording, body))
     if not isinstance(body, Body) or all(link.length is None for link in body.links):
         raise InputError(f"body '{body.name}' has no links of a length that could be learned: leave out learn_lengths")
     tips = {link.name: link.tip for link in body.links}
@@ -30,25 +29,15 @@ def with_observed_lengths(recording: Recording, body: ArticulatedBody) -> Articu
         if link.length is None:
             links.append(link)
             continue
-        start = np.full((1, 3), np.nan)
+        start = np.full((1, body.dimensions), np.nan)
         if parent < 0:
-            start = np.array([[nominal(x) for x in link.origin or (0.0, 0.0, 0.0)]])
+            start = np.array([[nominal(x) for x in link.origin or (0.0, 0.0, 0.0)][: body.dimensions]])
         elif link.origin is None and (tip := tips[link.parent]) in recording.keypoint_names:
             start = recording.keypoint(tip)
         end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
-        links.append(replace(link, length=Learned(_median_distance(start, end) or nominal(link.length))))
+        length = _median_distance(start, end) or nominal(link.length)
+        links.append(replace(link, length=length if body.is_chain else Learned(length)))
     return replace(body, links=links)
-
-
-def observed_lengths(recording: Recording, body: Body) -> list[float]:
-    """Median distance between neighbouring joints, (K,), the recording's unit; the body's own where unseen."""
-    start = np.broadcast_to(np.asarray(body.base), (recording.num_frames, 2))
-    lengths = []
-    for link in body.links:
-        end = recording.keypoint(link.tip) if link.tip in recording.keypoint_names else start * np.nan
-        lengths.append(_median_distance(start, end) or link.nominal("length"))
-        start = end
-    return lengths
 
 
 def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
@@ -59,16 +48,16 @@ def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
 
 
 def as_fitted(problem: Any) -> Any:
-    """The body of an arm's problem with its learned numbers as they were fitted, so that draws of it keep them.
+    """The body of an arm's problem with numbers that are no priors as its model has them, so that draws keep these.
 
     Of a tree learned numbers begin where they are stated.
     """
     body = problem.model.body
-    if not (isinstance(body, Body) and body.is_chain and body.learned):
+    if not (isinstance(body, Body) and body.is_chain):
         return body
     links = list(body.links)
-    for quantity, entries in body.learned.items():
-        values = problem.model.parameters[f"body.{quantity}"].tolist()
-        for place in entries:
-            links[place] = replace(links[place], **{quantity: values[place]})
+    for quantity, place, scalar in body.scalars():
+        if scalar is not None and not isinstance(scalar, Distribution):
+            value = problem.model.parameters[f"body.{quantity}"][place].item()
+            links[place] = replace(links[place], **{quantity: value})
     return replace(body, links=links)

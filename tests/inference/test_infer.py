@@ -8,7 +8,9 @@ import pytest
 import torch
 
 from invdyn.inference import METHODS, SMCOptions, arm_problem, free_parameters, infer, pooled, prepare
+from invdyn.inference.marginalise import body_draws
 from invdyn.models import ArmModel, Learned, Link, Matern32, planar_body
+from invdyn.models.bodies.scalars import prior
 from invdyn.recordings import InputError, Recording, Truth
 
 SMALL = {"num_filters": 8, "num_particles": 30, "num_draws": 3}
@@ -252,6 +254,20 @@ def test_what_is_to_be_fitted():
     assert "body.length" not in names
     assert "body.length" in {f.name for f in free_parameters(problem, learn_lengths=True)}
     assert "torque.decay" not in {f.name for f in free_parameters(problem, given=("torque.decay",))}
+
+
+@pytest.mark.parametrize("learn_lengths", [True, False])
+def test_draws_of_an_uncertain_body_keep_what_was_fitted_or_given(learn_lengths):
+    recording, _ = record(TIME)
+    uncertain = body(mass=(prior(1.5, 0.1), Learned(1.0)))
+    length, mass = torch.tensor([[0.31, 0.26], [1.5, 0.9]], dtype=torch.float64)
+    given = {} if learn_lengths else {"body.length": length}
+    problem = arm_problem(recording, uncertain, learn_lengths=learn_lengths, parameters=given)
+    problem = replace(problem, model=problem.model.replace(**{"body.length": length, "body.mass": mass}))
+    numbers = [each.model.body_parameters() for each in body_draws([problem] * 3, seed=0)]
+    assert all(torch.equal(each.length, length) for each in numbers)
+    assert [each.mass[1].item() for each in numbers] == pytest.approx([0.9] * 3)
+    assert len({each.mass[0].item() for each in numbers}) == 3
 
 
 def test_confidence_becomes_a_covariate_unless_it_says_nothing():
