@@ -9,32 +9,24 @@ besides is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from invdyn.models.bodies import body_mjcf_left_out, body_xml, joint_parts_mjcf
+from invdyn.models.bodies import body_mjcf_left_out, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.mjcf_disabled import without_disabled
 from invdyn.models.bodies.mujoco_warnings import kept_warnings
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.bodies.whole_file import read_whole
-
-
-def read(path: str | Path) -> Robot:
-    """The parts of an MJCF file.
-
-    Raises `BodyError` for what MuJoCo cannot read, files outside the folder, and a missing MuJoCo; `OSError` when the
-    file cannot be read.
-    """
-    return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
 
 
 def of(root: Element, where: str) -> Robot:
-    """The parts of a parsed MJCF; see :func:`read`."""
+    """The parts of a parsed MJCF.
+
+    Raises `BodyError` for what MuJoCo cannot read, files outside the folder, and a missing MuJoCo.
+    """
     text, meshes, dropped = one_text(root, where)
     mujoco = _engine(where)
     with _own_warnings(mujoco, where):

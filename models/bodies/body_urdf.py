@@ -8,7 +8,6 @@ frame, lumped with what it is fixed to. Gravity is 9.81 m/s² downwards along z,
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -18,7 +17,6 @@ from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError, number
-from invdyn.models.bodies.whole_file import read_whole
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
@@ -29,16 +27,8 @@ Frame = tuple[np.ndarray, np.ndarray]
 """Rotation (3, 3) and place (3,)."""
 
 
-def read(path: str | Path) -> Robot:
-    """The parts of a URDF file.
-
-    Raises `BodyError` for what is no URDF or has a planar joint, and `OSError` when the file cannot be read.
-    """
-    return of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path))
-
-
 def of(robot: Element, where: str) -> Robot:
-    """The parts of a parsed URDF; see :func:`read`."""
+    """The parts of a parsed URDF. Raises `BodyError` for what is no URDF or has a planar joint."""
     body_xml.check_root(robot, "robot", where)
     if any(each.tag.startswith("xacro:") for each in robot.iter()):
         raise BodyError(f"{where}: a xacro template is not read; expand it first: xacro FILE.xacro > FILE.urdf")

@@ -8,10 +8,8 @@ from typing import Self
 
 from invdyn.models.bodies import (
     body_chain,
-    body_mjcf,
     body_toml,
     body_tree,
-    body_urdf,
     body_xml,
     planar,
     robot_file,
@@ -20,7 +18,7 @@ from invdyn.models.bodies.body_toml import LOAD
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.load import loaded
-from invdyn.models.bodies.parts import Robot, is_planar_chain
+from invdyn.models.bodies.parts import is_planar_chain
 from invdyn.models.bodies.placeholders import Moment, placeholder_warning
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError, nominal
@@ -57,7 +55,8 @@ class FromFiles(ArticulatedBody):
                 words = f"in the plane it would leave out {'; '.join(off)}"
                 warnings.warn(f"{path}: taken as a body in space; {words}", stacklevel=2)
                 dimensions = 3
-        return cls.from_robot(robot, path, dimensions)
+        tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
+        return cls._of(tables | {"exact": False}, dimensions, path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -68,30 +67,6 @@ class FromFiles(ArticulatedBody):
     def from_tables(cls, tables: dict, path: str | Path) -> Self:
         """The body of a TOML file's tables; dimensions = 3 says a tree. See `load`."""
         return cls._of(*body_toml.of(tables, str(path)), path)
-
-    @classmethod
-    def from_mjcf(cls, path: str | Path, dimensions: int | None = None) -> Self:
-        """Read a file of MuJoCo's format (extra `robots`); see `body_mjcf`, and `from_robot` for what it may hold.
-
-        Warns of what the file has and rigid links lack. Raises `BodyError`, which names the file, or `OSError`.
-        """
-        return cls.from_robot(body_mjcf.read(path), path, dimensions)
-
-    @classmethod
-    def from_urdf(cls, path: str | Path, dimensions: int | None = None) -> Self:
-        """Read a file of URDF; warns and raises as `from_mjcf`."""
-        return cls.from_robot(body_urdf.read(path), path, dimensions)
-
-    @classmethod
-    def from_robot(cls, robot: Robot, path: str | Path, dimensions: int | None = None) -> Self:
-        """The body of a file's parts: in the plane a chain of hinges (`body_chain`), in space any tree (`body_tree`).
-
-        By default it is a chain in the plane where the file has one.
-        """
-        if dimensions is None:
-            dimensions = 2 if is_planar_chain(robot.parts) else 3
-        tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
-        return cls._of(tables | {"exact": False}, dimensions, path)
 
     @classmethod
     def _of(cls, tables: dict, dimensions: int, path: str | Path) -> Self:

@@ -116,7 +116,7 @@ def test_a_log_of_an_arm_with_a_mass_off_the_line_is_of_a_body_in_space(tmp_path
     site = '<site name="tip" pos="0.25 0 0"/>'
     arm = f"<mujoco><worldbody>{inner}{outer}{site}</body></body></worldbody></mujoco>"
     (tmp_path / "arm.xml").write_text(arm)
-    tree = Body.from_mjcf(tmp_path / "arm.xml", dimensions=3)
+    tree = Body.load(tmp_path / "arm.xml", dimensions=3)
     time = np.arange(0, 4, 0.01)
     rate = np.array([2.0, 3.0])
     q, qd, qdd = (

@@ -31,7 +31,7 @@ def test_one_posterior_by_two_engines(axis, tmp_path):
     path.write_text(ARM.format(axis=axis))
     time = np.arange(40) * 0.02
     seen = Observation(Keypoints(["elbow", "wrist", "thumb"]))
-    fast = ArmModel(Body.from_mjcf(path, 3), time, seen, substeps=2, parameters=KNOWN)
+    fast = ArmModel(Body.load(path, dimensions=3), time, seen, substeps=2, parameters=KNOWN)
     engine = EngineModel(path, time, seen, parameters=KNOWN)
     _, rows = fast.simulate(seed=0)
     assert not engine.nonsmooth

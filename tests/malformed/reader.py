@@ -20,8 +20,9 @@ import torch
 from log_files import JOINTS, LEROBOT, bag, lerobot, mcap
 
 from invdyn.inference.posterior.files import load_posterior
-from invdyn.models.bodies import body_mjcf
+from invdyn.models.bodies import body_mjcf, body_xml
 from invdyn.models.bodies.scalars import BodyError
+from invdyn.models.bodies.whole_file import read_whole
 from invdyn.recordings import InputError, load
 from invdyn.recordings.logs import LogMap, recordings_of
 from invdyn.recordings.tracking.heatmap import HeatmapTracker
@@ -47,7 +48,7 @@ def track(path: Path) -> None:
 
 READERS = {
     "log": read_log,
-    "body": body_mjcf.read,
+    "body": lambda path: body_mjcf.of(body_xml.parse(read_whole(path, body_xml.MOST_BYTES), str(path)), str(path)),
     "network": track,
     "posterior": load_posterior,
     "recording": lambda path: load(path, units="px", fps=25),

@@ -66,7 +66,7 @@ def band(idata, name="torque"):
 
 
 def test_the_bands_hold_what_the_file_leaves_open(file):
-    body = Body.from_mjcf(file, dimensions=3)
+    body = Body.load(file, dimensions=3)
     assert not body.exact
     found, exact = infer(of_encoders(), body, **SIZES), infer(of_encoders(), replace(body, exact=True), **SIZES)
     assert "masses and moments" in found.attrs["body_doubt"]
@@ -79,7 +79,7 @@ def test_the_bands_hold_what_the_file_leaves_open(file):
 
 
 def test_what_is_stated_or_commanded_is_left_as_it_is(file, tmp_path):
-    body, recording = Body.from_mjcf(file, dimensions=3), of_encoders()
+    body, recording = Body.load(file, dimensions=3), of_encoders()
     assert arm_problem(recording, body).doubted
     assert not arm_problem(recording, body, passive=True).doubted
     assert not arm_problem(recording, replace(body, uncertainty={"mass": 0.0})).doubted
@@ -91,7 +91,7 @@ def test_what_is_stated_or_commanded_is_left_as_it_is(file, tmp_path):
 
 def test_each_draw_keeps_its_motion_under_its_own_body(file):
     """D θ̈ + h + c = τ with the numbers of each draw, as :func:`.mechanics` takes them."""
-    body = Body.from_mjcf(file, dimensions=3)
+    body = Body.load(file, dimensions=3)
     found = infer(of_encoders(), body, **SIZES)
     own = mechanics(found, body)["acceleration"].values
     numbers = ["mass", "com", "inertia", "gravity", "torque"]
@@ -180,7 +180,7 @@ def test_it_agrees_with_filters_of_drawn_bodies(file, monkeypatch):
     """Masses alone, for few rows of which the torque's prior tells little."""
     for name in ("CENTRE", "MOMENT", "LEVEL"):
         monkeypatch.setattr(body_doubt, name, 1e-6)
-    body, recording = Body.from_mjcf(file, dimensions=3), of_encoders(12)
+    body, recording = Body.load(file, dimensions=3), of_encoders(12)
     found = infer(recording, body, **SIZES)
     drawn = infer(recording, replace(body, uncertainty={"mass": body_doubt.MASS}), **SIZES)
     assert "stated_torque" not in drawn.posterior

@@ -13,12 +13,12 @@ from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 ALIKE = {"rtol": 1e-9, "atol": 1e-9}
 
 
-def read(text, path, kind=None):
+def read(text, path, dimensions=None):
     """The body of a file, whatever it leaves out."""
     path.write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return Body.load(path) if kind is None else kind(path, dimensions=3)
+        return Body.load(path, dimensions=dimensions)
 
 
 def tensors(*arrays):
@@ -50,7 +50,7 @@ class InMuJoCo:
 @pytest.mark.parametrize("seed", range(12))
 def test_a_random_mjcf_moves_as_in_mujoco(seed, tmp_path):
     text = random_mjcf(seed)
-    tree = read(text, tmp_path / "arm.xml", Body.from_mjcf)
+    tree = read(text, tmp_path / "arm.xml", dimensions=3)
     peer, dynamics, p = InMuJoCo(text, tree.joint_names), SpatialDynamics(tree), tree.parameters()
     assert tree.num_joints == peer.model.nv
     assert set(tree.keypoint_names) == {f"s{body}" for body in range(7) if _moves(peer.model, f"b{body}")}
@@ -71,7 +71,7 @@ def _moves(model, body):
 def test_a_random_urdf_moves_as_in_pinocchio(seed, tmp_path):
     pin = pytest.importorskip("pinocchio")
     text = random_urdf(seed)
-    tree = read(text, tmp_path / "arm.urdf", Body.from_urdf)
+    tree = read(text, tmp_path / "arm.urdf", dimensions=3)
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     data, K = model.createData(), tree.num_joints
     order = [model.idx_vs[model.getJointId(name)] for name in tree.joint_names]
@@ -149,8 +149,8 @@ def test_which_files_are_planar(tmp_path):
     slide = file.format(axis='1 0 0" type="slide', more="")
     assert read(slide, path).joint_names == ("one", "two")
     with pytest.raises(BodyError, match="of type slide"):
-        Body.from_mjcf(path, dimensions=2)
-    assert not read(file.format(axis="0 0 1", more=""), path, Body.from_mjcf).is_chain
+        Body.load(path, dimensions=2)
+    assert not read(file.format(axis="0 0 1", more=""), path, dimensions=3).is_chain
 
 
 def test_points_without_sites_are_the_frames(tmp_path):
@@ -160,7 +160,7 @@ def test_points_without_sites_are_the_frames(tmp_path):
         <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="camera"/>
       <joint name="j" type="continuous"><parent link="world"/><child link="arm"/><origin xyz="0 0 1"/></joint>
       <joint name="f" type="fixed"><parent link="arm"/><child link="camera"/><origin xyz=".4 0 .1"/></joint></robot>"""
-    tree = read(robot, tmp_path / "arm.urdf", Body.from_urdf)
+    tree = read(robot, tmp_path / "arm.urdf", dimensions=3)
     assert tree.keypoint_names == ("arm", "camera")
     np.testing.assert_allclose(tree.parameters().sites, [[0, 0, 0], [0.4, 0, 0.1]])
 

@@ -194,7 +194,7 @@ def test_a_turning_base_is_the_odd_one(tmp_path):
 
 
 def test_files_of_another_kind(tmp_path):
-    with pytest.raises(BodyError, match="<robot> around it, got <mujoco>"):
-        Body.from_urdf(written("<mujoco/>", tmp_path / "arm.urdf"), dimensions=2)
+    with pytest.raises(BodyError, match="<robot> around it, got <svg>"):
+        Body.load(written("<svg/>", tmp_path / "arm.urdf"))
     with pytest.raises(FileNotFoundError):
         Body.load(tmp_path / "none.urdf")

@@ -36,7 +36,7 @@ def moved(tree, joints, sites):
 @pytest.mark.parametrize("tree", TREES.values(), ids=TREES)
 def test_a_tree_comes_back_from_mjcf(tree, tmp_path):
     write_mjcf(tree, tmp_path / "arm.xml")
-    back = Body.from_mjcf(tmp_path / "arm.xml", dimensions=3)
+    back = Body.load(tmp_path / "arm.xml", dimensions=3)
     assert set(back.joint_names) == set(tree.joint_names)
     assert set(back.keypoint_names) == set(tree.keypoint_names)
     ours, again = (moved(each, tree.joint_names, tree.keypoint_names) for each in (tree, back))
@@ -80,7 +80,7 @@ def test_a_tree_of_mjcf_comes_back_from_toml(tmp_path):
     """Names that TOML would have to quote are quoted."""
     arm = replace(panda().links[0], sites={"left hand": (0.1, 0.0, 0.0), "marker.3": (0.0, 0.2, 0.0)})
     write_mjcf(Body("arm", [arm, *panda().links[1:]]), tmp_path / "arm.xml")
-    tree = Body.from_mjcf(tmp_path / "arm.xml", dimensions=3)
+    tree = Body.load(tmp_path / "arm.xml", dimensions=3)
     tree.to_toml(tmp_path / "arm.toml")
     assert load_body(tmp_path / "arm.toml") == tree
 
@@ -89,7 +89,7 @@ def test_what_mjcf_cannot_say_is_said(tmp_path):
     uncertain = [replace(link, mass=dist.LogNormal(torch.tensor(0.0), torch.tensor(0.1))) for link in panda().links]
     with pytest.warns(UserWarning, match=r"MJCF cannot say priors \(written: their means\)"):
         write_mjcf(Body("arm", uncertain), tmp_path / "arm.xml")
-    assert Body.from_mjcf(tmp_path / "arm.xml", dimensions=3).links[0].mass == pytest.approx(np.exp(0.005))
+    assert Body.load(tmp_path / "arm.xml", dimensions=3).links[0].mass == pytest.approx(np.exp(0.005))
     learned = replace(panda().links[0], mass=Learned(4.0))
     with pytest.warns(UserWarning, match="cannot say learned scalars"):
         write_mjcf(Body("arm", [learned, *panda().links[1:]]), tmp_path / "arm.xml")
@@ -99,7 +99,7 @@ def test_what_a_joint_has_besides_comes_back(tmp_path):
     parts = JointParts(damping=0.3, friction=0.1, armature=0.02, stiffness=2.0, rest=0.4)
     links = panda().links
     write_mjcf(Body("arm", [*links[:3], replace(links[3], parts=parts), *links[4:]]), tmp_path / "arm.xml")
-    assert Body.from_mjcf(tmp_path / "arm.xml", dimensions=3).joint_parts == (None, None, None, parts, None, None, None)
+    assert Body.load(tmp_path / "arm.xml", dimensions=3).joint_parts == (None, None, None, parts, None, None, None)
     servo = replace(links[3], parts=JointParts(motor=Motor("position", 40.0, 40.0)))
     with pytest.warns(UserWarning, match="cannot say limits and servos of motors"):
         write_mjcf(Body("arm", [*links[:3], servo, *links[4:]]), tmp_path / "arm.xml")
