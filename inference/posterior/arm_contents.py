@@ -23,6 +23,7 @@ from invdyn.inference.posterior.visibility import unseen_lines, visibility
 from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
 from invdyn.models.observation.base_point import first_joint
+from invdyn.models.observation.observation import Observation
 from invdyn.recordings import Recording, Truth
 
 
@@ -66,8 +67,7 @@ def arm_contents(
     if dynamic and model.command is not None:
         posterior["residual_torque"] = (joints, paths[..., : body.num_joints])
 
-    predictive: Variables = {}
-    observed: Variables = {}
+    predictive, observed, of_sensors, seen = sensed(model.observation, rows, observations, recording.length_unit)
     coords: dict[str, Any] = {
         "time": recording.time,
         "joint": list(body.joint_names),
@@ -75,14 +75,6 @@ def arm_contents(
         "link": list(body.link_names),
         "keypoint": list(body.keypoint_names),
     }
-    seen: dict[str, Any] = {}
-    for sensor in model.observation.sensors:
-        dims = list(sensor.coords)
-        predictive[sensor.name] = ([*DRAWS, "time", *dims], model.observation.of(sensor, rows))
-        observed[sensor.name] = (["time", *dims], model.observation.of(sensor, observations))
-        units |= {sensor.name: recording.length_unit if sensor.unit == "length" else sensor.unit}
-        seen |= {dim: list(names) for dim, names in sensor.coords.items()}
-
     attributes: dict[str, Any] = {
         "recording": recording.name,
         "body": body.name,
@@ -99,7 +91,38 @@ def arm_contents(
         if lines := unseen_lines(unseen, body.joint_names):
             attributes["unseen"] = "\n".join(lines)
 
-    return Contents(posterior, predictive, observed, constants, coords, units, attributes, seen)
+    return Contents(posterior, predictive, observed, constants, coords, units | of_sensors, attributes, seen)
+
+
+def sensed(
+    observation: Observation, rows: Tensor, observations: Tensor, length_unit: str
+) -> tuple[Variables, Variables, dict[str, str], dict[str, Any]]:
+    """What sensors show in drawn ``rows`` and showed, the units, and names of what they see."""
+    predictive: Variables = {}
+    observed: Variables = {}
+    units: dict[str, str] = {}
+    names: dict[str, Any] = {}
+    for sensor in observation.sensors:
+        dims = list(sensor.coords)
+        predictive[sensor.name] = ([*DRAWS, "time", *dims], observation.of(sensor, rows))
+        observed[sensor.name] = (["time", *dims], observation.of(sensor, observations))
+        units |= {sensor.name: length_unit if sensor.unit == "length" else sensor.unit}
+        names |= {dim: list(each) for dim, each in sensor.coords.items()}
+    return predictive, observed, units, names
+
+
+def true_values(truth: Truth | None, joint_names: Sequence[str]) -> Variables:
+    """Of the joints that a truth names; others are not known."""
+    if truth is None:
+        return {}
+    found: Variables = {}
+    for name in ("torque", "angle", "velocity"):
+        values = np.full((len(truth.time), len(joint_names)), np.nan)
+        for k, joint in enumerate(joint_names):
+            if joint in truth.joint_names:
+                values[:, k] = getattr(truth, name)[:, truth.joint_names.index(joint)]
+        found[f"truth_{name}"] = (["time", "joint"], values)
+    return found
 
 
 def _units(length: str) -> dict[str, str]:
@@ -117,8 +140,4 @@ def _constants(model: ArmModel, truth: Truth | None) -> Variables:
     constants: Variables = dict(model.body.described(model.body_parameters()))
     if isinstance(model, ArmModel) and model.command is not None:
         constants["command"] = (["time", "joint"], model.command)
-    if truth is not None:
-        order = [truth.joint_names.index(name) for name in model.body.joint_names]
-        for name in ("torque", "angle", "velocity"):
-            constants[f"truth_{name}"] = (["time", "joint"], getattr(truth, name)[:, order])
-    return constants
+    return constants | true_values(truth, model.body.joint_names)

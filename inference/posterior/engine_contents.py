@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.posterior.arm_contents import sensed, true_values
 from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.engine.contacts import contact_forces
@@ -77,16 +78,7 @@ def engine_contents(
         posterior["contact_force"] = (sizes, contacts.force.reshape(*lead, *contacts.force.shape[1:]))
         posterior["centre_of_pressure"] = (sizes, contacts.centre.reshape(*lead, *contacts.centre.shape[1:]))
 
-    predictive: Variables = {}
-    observed: Variables = {}
-    seen: dict[str, Any] = {}
-    units = _units(model)
-    for sensor in model.observation.sensors:
-        dims = list(sensor.coords)
-        predictive[sensor.name] = ([*DRAWS, "time", *dims], model.observation.of(sensor, rows))
-        observed[sensor.name] = (["time", *dims], model.observation.of(sensor, observations))
-        units |= {sensor.name: "m" if sensor.unit == "length" else sensor.unit}
-        seen |= {dim: list(names) for dim, names in sensor.coords.items()}
+    predictive, observed, of_sensors, seen = sensed(model.observation, rows, observations, "m")
     attributes: dict[str, Any] = {
         "recording": recording.name,
         "body": scene.name,
@@ -101,7 +93,7 @@ def engine_contents(
     if skeleton := _skeleton(scene):
         constants["skeleton"] = (["edge", "end"], np.array(skeleton))
     constants["turns"] = (["joint"], turning_dofs(scene.model).astype(np.int8))
-    constants |= _truth(scene, truth)
+    constants |= true_values(truth, scene.joint_names)
     if contacts.pairs:
         constants["ground"] = (["contact"], contacts.ground.astype(np.int8))
     coords: dict[str, Any] = {
@@ -115,7 +107,7 @@ def engine_contents(
         "activation_of": activation_names(model),
         "contact": list(contacts.names),
     }
-    return Contents(posterior, predictive, observed, constants, coords, units, attributes, seen)
+    return Contents(posterior, predictive, observed, constants, coords, _units(model) | of_sensors, attributes, seen)
 
 
 def generalised_forces(model: EngineModel, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -231,17 +223,3 @@ def _skeleton(scene: Scene) -> list[tuple[int, int]]:
         if above in first and above != body:
             edges.append((first[above], site))
     return edges
-
-
-def _truth(scene: Scene, truth: Truth | None) -> Variables:
-    """Of the joints that a truth names; others are not known."""
-    if truth is None:
-        return {}
-    found: Variables = {}
-    for name in ("torque", "angle", "velocity"):
-        values = np.full((len(truth.time), scene.num_joints), np.nan)
-        for k, joint in enumerate(scene.joint_names):
-            if joint in truth.joint_names:
-                values[:, k] = getattr(truth, name)[:, truth.joint_names.index(joint)]
-        found[f"truth_{name}"] = (["time", "joint"], values)
-    return found
