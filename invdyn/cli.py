@@ -312,9 +312,12 @@ def plot(
 @command()
 def view(
     file: Annotated[
-        Path, typer.Argument(help="A posterior of `invdyn infer`, .nc; or the folder of `invdyn diagnose`.")
+        Path, typer.Argument(help="A posterior, .nc, of `invdyn infer`; the folder of `invdyn diagnose` or `trials`.")
     ],
     out: Annotated[Path, typer.Option(help="The page: .html.")],
+    align: Annotated[
+        str | None, typer.Option(help="Event at which a study's trials are aligned; default: the first one.")
+    ] = None,
 ) -> None:
     """One page of a result, to look at and to send.
 
@@ -329,7 +332,7 @@ def view(
 
     check_outputs([out], [file])
     check_ending("a page", out, ".html")
-    write_view(file, out)
+    write_view(file, out, align)
     say(f"page       {out}")
 
 

@@ -1,168 +1,60 @@
-"""`invdyn view`: a posterior or a diagnosis as one page that opens anywhere, without a server or a network.
+"""`invdyn view`: what one page (:mod:`.page`) shows of a posterior, a diagnosis or a study.
 
-The page has the body and its curves on one time axis. Of a posterior: the mean arm, some draws, the keypoints as seen,
-angles and torques with their 50 and 90 % bands. Of a diagnosis: the simulation before and after the correction, and the
-torque that each misses, with 90 % bands. Curves are drawn by uPlot 1.6.32 (Leon Sorokin, MIT), which the page holds.
+Of a posterior: the mean body, some draws, keypoints as seen, torques and angles with their 50 and 90 % bands. Of a
+diagnosis: the simulation before and after the correction, and the torque that each misses, with 90 % bands. Of a
+study: torques of all trials, aligned at an event, and the average of each condition, with its 90 % band and that of a
+further trial.
 
 Recordings of more than `MAX_ROWS` rows are thinned: median and edges of the bands at evenly spaced rows.
 """
 
-import math
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import arviz as az
 import numpy as np
+import pandas as pd
 import xarray as xr
-from jinja2.utils import htmlsafe_json_dumps
-from markupsafe import Markup
 
-from invdyn.diagnosis.report.report import TEMPLATES, digest, environment
 from invdyn.inference import load_posterior
 from invdyn.recordings import InputError, write_text
 
 from .film import arm_points, skeleton
-from .plots import quantiles, shifts, unit_of, usual_range
+from .page import View
+from .plots import quantiles, shifts, unit_of
 from .summary import doubts_of, summary_text
 
-PAGE = Path(__file__).parent / "view_page"
 MAX_ROWS = 2000
 """Rows that a page has at most: a screen has no more pixels."""
 DRAWS = 8
 """Posterior draws of the body, pale."""
 Z90 = 1.6448536
-DIAGNOSIS = "diagnosis.json"
+DIAGNOSIS, STUDY = "diagnosis.json", "trials.csv"
+STYLES = ("after", "before", "third", "fourth")
+"""Of a study's levels."""
 
 
-@dataclass
-class View:
-    """What a page shows; T rows, N points of the body (the first one is its base), d dimensions.
+def write_view(path: str | Path, out: str | Path, align: str | None = None) -> None:
+    """Write the page of a posterior (.nc), of a diagnosis (its folder or diagnosis.json) or of a study (its folder).
 
-    Attributes:
-        title, kicker: heading, and the line above it.
-        time: (T,) s.
-        unit: of length.
-        lines: of the body, as numbers of points along each.
-        names: of the last points, one each, in words.
-        arms: name and style (before, after) -> (T, N, d), the most important one last.
-        draws: (R, T, N, d), pale.
-        observed: (T, P, d), NaN where missing.
-        panels: one a curve, see :meth:`panel`.
-        doubts, said: sentences above all else.
-        notes: what a group's curves are. summary: text of a run. foot: the last line.
+    A study's trials are aligned at the event ``align``, by default the first by name. Raises InputError for a file of
+    another kind, or an event that no trial has; OSError where one cannot be read or written.
     """
-
-    title: str
-    kicker: str
-    time: np.ndarray
-    unit: str
-    lines: list[list[int]]
-    names: list[str]
-    arms: dict[tuple[str, str], np.ndarray]
-    draws: np.ndarray
-    observed: np.ndarray
-    doubts: list[str] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    notes: dict[str, str] = field(default_factory=dict)
-    summary: str = ""
-    foot: str = ""
-    panels: list[dict[str, Any]] = field(default_factory=list)
-
-    def panel(self, group: str, joint: str, unit: str, sides: list[dict[str, Any]], **more: np.ndarray | None) -> None:
-        """Add the curves of a joint.
-
-        Each side has a name, a style, and `low`, `middle`, `high` (T,), of a posterior also `lower` and `upper`. More
-        curves are `truth`, `command` and `dots`.
-        """
-        own = {name: values for name, values in more.items() if values is not None and np.isfinite(values).any()}
-        curves = [side[each] for side in sides for each in ("low", "middle", "high")]
-        shown = usual_range(np.concatenate([*curves, *own.values()])) or (-1.0, 1.0)
-        last = sides[-1]
-        places = [int(np.nanargmin(last["middle"])), int(np.nanargmax(last["middle"]))]
-        least, most = (f"{last['middle'][at]:.3g} at {self.time[at]:.2f} s" for at in places)
-        width = 0.5 * float(np.nanmedian(last["high"] - last["low"]))
-        label = f"{group} of {joint} over time, {unit}: from {least} to {most}, give or take {width:.2g} (90 %)"
-        joints, groups = ([each[key] for each in self.panels] for key in ("joint", "group"))
-        row, column = (list(dict.fromkeys(names)).index(names[-1]) for names in ([*joints, joint], [*groups, group]))
-        every = [{k: v if isinstance(v, str) else rounded(v, shown) for k, v in side.items()} for side in sides]
-        kept = {name: rounded(values, shown) for name, values in own.items()}
-        self.panels.append(
-            {"id": len(self.panels), "group": group, "joint": joint, "unit": unit, "label": label, "range": shown}
-            | {"sides": every, "row": row, "column": 1 + column, **kept}
-        )
-
-    def legend(self, group: str) -> list[tuple[str, str]]:
-        """Names and styles of a group's curves."""
-        own = [panel for panel in self.panels if panel["group"] == group]
-        named = [(side["name"], side["style"]) for panel in own for side in panel["sides"]]
-        named += [(name, name) for name in ("truth", "command") if any(name in panel for panel in own)]
-        return list(dict.fromkeys(named))
-
-    def html(self) -> str:
-        """The page."""
-        points = np.concatenate([*self.arms.values(), self.observed], axis=1).reshape(-1, self.observed.shape[-1])
-        low, high = np.nanquantile(points, [0.005, 0.995], axis=0)  # an outlier must not shrink the body
-        edge = 0.04 * (high - low).max()
-        box = low - edge, high + edge
-        span = float(low.min()), float(low.min() + (high - low).max())
-        data = {
-            "time": rounded(self.time, (0.0, 1.0)),
-            "space": len(low),
-            "unit": self.unit,
-            "lines": self.lines,
-            "named": self.names,
-            "spots": list(range(next(iter(self.arms.values())).shape[1]))[-len(self.names) :],
-            "box": rounded(np.array(box), span),
-            "arms": [{"style": style, "points": rounded(each, span)} for (_, style), each in self.arms.items()],
-            "draws": rounded(self.draws, span),
-            "observed": rounded(self.observed, span),
-            "panels": self.panels,
-        }
-        groups = list(dict.fromkeys(panel["group"] for panel in self.panels))
-        script = "".join((PAGE / name).read_text(encoding="utf-8") for name in ("uPlot.min.js", "view.js"))
-        styles = [PAGE / "uPlot.min.css", TEMPLATES / "report.css", PAGE / "view.css"]
-        return (
-            environment(PAGE)
-            .get_template("view.html.j2")
-            .render(
-                title=self.title,
-                kicker=self.kicker,
-                doubts=self.doubts,
-                said=self.said,
-                notes={group: self.notes.get(group, "") for group in groups},
-                legends={group: self.legend(group) for group in groups},
-                arms=[{"name": name, "style": style} for name, style in self.arms],
-                observed=bool(np.isfinite(self.observed).any()),
-                groups=groups,
-                joints=list(dict.fromkeys(panel["joint"] for panel in self.panels)),
-                panels=self.panels,
-                space=len(low),
-                last=len(self.time) - 1,
-                summary=self.summary,
-                foot=self.foot,
-                data=htmlsafe_json_dumps(data, separators=(",", ":"), allow_nan=False),
-                script=Markup(script),
-                style=Markup("\n".join(path.read_text(encoding="utf-8") for path in styles)),
-                digest=digest(script),
-            )
-        )
+    write_text(out, view_of(path, align).html())
 
 
-def write_view(path: str | Path, out: str | Path) -> None:
-    """Write the page of a posterior (.nc) or of a diagnosis (its folder or diagnosis.json), whole or not at all.
-
-    Raises InputError for a file of another kind, OSError where one cannot be read or written.
-    """
-    write_text(out, view_of(path).html())
-
-
-def view_of(path: str | Path) -> View:
+def view_of(path: str | Path, align: str | None = None) -> View:
     """What a page shows of a file; raises as :func:`write_view`."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
+    if (path / STUDY).exists() and (path / "posteriors").is_dir():
+        return _of_study(path, align)
+    if align is not None:
+        raise InputError(f"{path}: expected the folder of a study to align at {align!r}: leave --align out")
     if path.is_dir() and not (path / DIAGNOSIS).exists():
-        raise InputError(f"{path}: expected a posterior, .nc, or the folder of a diagnosis with {DIAGNOSIS} in it")
+        raise InputError(
+            f"{path}: expected a posterior, .nc, or a folder of `invdyn diagnose` or `invdyn trials`, with {DIAGNOSIS} "
+            f"or {STUDY} and posteriors in it"
+        )
     if path.is_dir() or path.name == DIAGNOSIS:
         path = folder / "posterior.nc"
         if not path.exists():
@@ -254,12 +146,71 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     return view
 
 
-def rounded(values: np.ndarray, span: tuple[float, float]) -> Any:
-    """As nested lists, to a five-thousandth of a span; NaN becomes None."""
-    digits = max(0, 4 - math.floor(math.log10(max(span[1] - span[0], 1e-12))))
-    values = np.round(np.asarray(values, float), digits)
-    lists = np.where(np.isfinite(values), values, None)
-    return lists.tolist()
+def _of_study(folder: Path, align: str | None) -> View:
+    """What a page shows of the folder that `invdyn trials` left."""
+    events = sorted(path.stem.removeprefix("averages_") for path in folder.glob("averages_*.csv"))
+    if not events:
+        raise InputError(f"{folder}: expected averages, got none: at least two trials need an event (event_NAME)")
+    event = events[0] if align is None else align
+    if event not in events:
+        raise InputError(f"{folder}: expected --align with an event among {', '.join(events)}, got {event!r}")
+    table = folder / f"averages_{event}.csv"
+    factor = str(pd.read_csv(table, nrows=0).columns[1])
+    averages = pd.read_csv(table, dtype={"joint": str, factor: str}, keep_default_na=False)
+    levels = sorted(averages[factor].unique())
+    styles = dict(zip(levels, STYLES * len(levels), strict=False))
+    time = np.unique(averages["time"])
+    left_out = pd.read_csv(folder / "left_out.csv", dtype=str, keep_default_na=False)
+    curves = _aligned(folder, event, factor, time)
+    view = View(
+        title=f"Torques of {averages.groupby(factor)['trials'].max().sum()} trials by {factor}",
+        kicker=f"Study {folder.name}, trials aligned at {event}",
+        time=time,
+        unit="",
+        lines=[],
+        names=[],
+        arms={},
+        draws=np.empty(0),
+        observed=np.empty(0),
+        doubts=[f"{each.trial} is left out: {each.reason}" for each in left_out.itertuples()],
+        foot=f"Events to align at: {', '.join(events)}.",
+    )
+    view.notes["torque"] = (
+        f"s after {event}. Dark: the average, 90 %. Pale: a further trial, 90 %. Thin: each trial's median."
+    )
+    for joint in averages["joint"].unique():
+        own = averages[averages["joint"] == joint]
+        sides = []
+        for level in levels:
+            rows = own[own[factor] == level].set_index("time").reindex(time)
+            side = {"name": f"{level or factor} ({rows['trials'].max():g} trials)", "style": styles[level]}
+            named = {"low": "trial_q05", "lower": "q05", "middle": "mean", "upper": "q95", "high": "trial_q95"}
+            sides.append(side | {name: rows[column].to_numpy() for name, column in named.items()})
+        trials = [(styles[level], each) for level, each in curves.get(joint, ()) if level in styles]
+        view.panel("torque", joint, str(own["unit"].iloc[0]), sides, trials)
+    for path in sorted(folder.glob("differences*.csv")):
+        table = pd.read_csv(path, keep_default_na=False)
+        cells = table.map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell))
+        view.tables[path.stem.replace("_", " ").capitalize()] = [list(table.columns), *cells.values.tolist()]
+    return view
+
+
+def _aligned(folder: Path, event: str, factor: str, time: np.ndarray) -> dict[str, list[tuple[str, np.ndarray]]]:
+    """By joint, each trial's level and its median torque at times after the event; none of those that lack it."""
+    found: dict[str, list[tuple[str, np.ndarray]]] = {}
+    for path in sorted((folder / "posteriors").glob("*.nc")):
+        with xr.open_dataset(path, engine="h5netcdf") as session:
+            if f"event_{event}" not in session:
+                continue
+            medians = np.median(session["torque"].transpose("trial", "row", "joint", "draw").values, axis=-1)
+            for at, level, clock, torque in zip(
+                session[f"event_{event}"].values, session[factor].values, session["time"].values, medians, strict=True
+            ):
+                there = np.isfinite(clock)
+                for k, joint in enumerate(session["joint"].values) if np.isfinite(at) else ():
+                    curve = np.interp(time + at, clock[there], torque[there, k], left=np.nan, right=np.nan)
+                    found.setdefault(str(joint), []).append((str(level), curve))
+    return found
 
 
 def _of_joint(values: xr.DataArray, k: int) -> np.ndarray:

@@ -7,7 +7,8 @@
                                                 summary_<factor>.csv and so on
     averages_<event>.csv, averages_<event>.png  aligned at each event
     posteriors/<subject>_<session>.nc           draws of torque, angle, velocity [trial, draw, row, joint], float32,
-                                                time [trial, row] s; NaN after a trial's last row
+                                                time [trial, row] s; NaN after a trial's last row; event_<name>
+                                                [trial], s by its clock
     sto/<trial>.sto                             torques of each trial with their 90 % band, for OpenSim
 
 All of it appears together, or none (:func:`invdyn.recordings.whole_set`).
@@ -82,6 +83,8 @@ def session_posterior(study: Any, members: list[int]) -> xr.Dataset:
         values[: len(part["time"])] = part["time"].numpy()
     trials = [study.trials[place] for place in members]
     labels = {name: ("trial", [trial.factors.get(name, "") for trial in trials]) for name in _factors(study)}
+    events = dict.fromkeys(name for trial in trials for name in trial.events)
+    labels |= {f"event_{name}": ("trial", [trial.events.get(name, np.nan) for trial in trials]) for name in events}
     data = xr.Dataset(
         {**variables, "time": (["trial", "row"], time, {"units": "s"})},
         coords={"trial": [trial.name for trial in trials], "joint": known["joints"], **labels},

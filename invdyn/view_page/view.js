@@ -3,7 +3,7 @@
   "use strict";
   const find = (id) => document.getElementById(id);
   const data = JSON.parse(find("view-data").textContent);
-  const { time, panels } = data, last = time.length - 1, space = data.space;
+  const { time, panels, space } = data, last = time.length - 1;  // a study has no body: then there is no space
   const slider = find("slider"), button = find("play"), speed = find("speed"), canvas = find("picture");
   const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const HEIGHT = 165;  // px of a chart
@@ -12,8 +12,7 @@
 
   // Numbers and words
   const short = (value) => (value === null ? "–" : Number(value.toPrecision(3)).toString().replace("-", "−"));
-  const interval = (panel, at) => {  // two digits of the interval's width
-    const { low, middle, high } = panel.sides[panel.sides.length - 1];
+  const interval = ({ low, middle, high }, at) => {  // two digits of the interval's width
     if (middle[at] === null) return "–";
     if (low[at] === high[at]) return short(middle[at]);
     const digits = Math.min(Math.max(1 - Math.floor(Math.log10(high[at] - low[at])), 0), 6);
@@ -29,6 +28,7 @@
     return [across, z * Math.cos(pitch) + away * Math.sin(pitch)];
   }
   function drawBody() {
+    if (!canvas) return;
     const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
     canvas.width = width * ratio; canvas.height = height * ratio;
     const pen = canvas.getContext("2d"), [low, high] = data.box, edge = 26;
@@ -100,6 +100,7 @@
           add(side[upper], { width: 0 }); add(side[lower], { width: 0 });
         }
       });
+      for (const trial of panel.trials) add(trial.values, { stroke: `${ink(trial.style)}66`, width: 0.7 });
       panel.sides.forEach((side) => {
         const dash = side.style === "before" ? [7, 4] : undefined;
         add(side.middle, { stroke: ink(side.style), width: 1.6, dash });
@@ -109,7 +110,7 @@
       if (panel.dots) add(panel.dots, { paths: () => null, points: { show: true, size: 4, fill: ink("seen"), stroke: ink("seen") } });
       const element = find(`chart-${panel.id}`);
       const chart = new uPlot({
-        width: element.clientWidth, height: HEIGHT, padding: [8, 12, 0, 0], legend: { show: false }, cursor: { show: false }, series, bands,
+        width: element.clientWidth, height: HEIGHT, padding: [8, 12, 0, 0], pxAlign: 0, legend: { show: false }, cursor: { show: false }, series, bands,
         scales: { x: { time: false }, y: { range: panel.range } },
         axes: [{ ...axis, size: 30 }, { ...axis, size: 56, label: panel.unit, labelSize: 18, values: (_, ticks) => ticks.map(short) }],
       }, columns, element);
@@ -143,8 +144,17 @@
     slider.value = row;
     slider.setAttribute("aria-valuetext", clocked(row));
     find("time").textContent = find("now-time").textContent = clocked(row);
-    const body = find("now").tBodies[0];
-    for (const panel of panels) body.rows[panel.row].cells[panel.column].textContent = `${interval(panel, row)} ${panel.unit}`;
+    for (const panel of panels) {
+      const lines = panel.sides.map((side) => {
+        const line = document.createElement("div"), mark = document.createElement("i");
+        mark.style.background = `var(--${side.style})`; mark.title = side.name;
+        if (panel.sides.length > 1) line.append(mark);
+        line.append(`${interval(side, row)} ${panel.unit}`);
+        if (panel.sides.length > 1) line.setAttribute("aria-label", `${side.name}: ${line.textContent}`);
+        return line;
+      });
+      find("now").tBodies[0].rows[panel.row].cells[panel.column].replaceChildren(...lines);
+    }
     drawBody(); mark();
   }
   function step(now) {
@@ -202,12 +212,14 @@
     };
     const head = table.tHead.insertRow();
     cell(head, "th", "time, s");
-    for (const panel of panels) cell(head, "th", `${panel.joint} ${panel.group}, ${panel.unit}`);
+    const columns = panels.flatMap((panel) => panel.sides.map((side) => [panel, side]));
+    for (const [panel, side] of columns)
+      cell(head, "th", `${panel.joint} ${panel.group}${panel.sides.length > 1 ? ` ${side.name}` : ""}, ${panel.unit}`);
     const every = Math.ceil(time.length / 100);
     for (let at = 0; at <= last; at += every) {
       const line = table.tBodies[0].insertRow();
       cell(line, "td", time[at].toFixed(3));
-      for (const panel of panels) cell(line, "td", interval(panel, at));
+      for (const [, side] of columns) cell(line, "td", interval(side, at));
     }
   });
 

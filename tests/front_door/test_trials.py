@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 import invdyn
 from invdyn.inputs import load_body
@@ -12,6 +13,7 @@ from invdyn.models import person
 from invdyn.recordings import InputError, read_keypoint_csv, write_keypoint_csv
 from invdyn.simulate import random_arm, record
 from invdyn.study_commands import ManyTrials, read_rows, read_trials
+from invdyn.view import view_of
 
 SMALL = ("--filters", 8, "--draws", 2)
 BODY = "paper_planar_arm"
@@ -44,6 +46,12 @@ def test_a_table_becomes_a_folder_of_tables(recorded, tmp_path, run):
     assert {"impulse", "work", "mean_power"} <= set(differences["quantity"])
     averages = pd.read_csv(tmp_path / "study" / "averages_touch.csv")
     assert set(averages["condition"]) == {"x", "y"}
+    with xr.open_dataset(tmp_path / "study" / "posteriors" / "a_1.nc", engine="h5netcdf") as session:
+        np.testing.assert_array_equal(session["event_touch"].values, [np.nan, 0.3])
+    view = view_of(tmp_path / "study")
+    assert view.title == "Torques of 3 trials by condition"
+    assert [len(panel["trials"]) for panel in view.panels] == [3, 3]
+    assert [doubt.split(":")[0] for doubt in view.doubts] == ["gone.csv is left out"]
 
 
 @pytest.mark.long

@@ -5,7 +5,9 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from browsing import chromium, opened, requests
 from pendulum import diagnosed
 from reported import HOSTILE, Page, diagnosis
@@ -216,6 +218,66 @@ def test_a_diagnosis_that_corrected_nothing_shows_one_simulation(found, make_pos
     assert [side["style"] for side in view.panels[0]["sides"]] == ["before"]
 
 
+@pytest.fixture
+def study(tmp_path):
+    """A folder as `invdyn trials` leaves it: two levels of two trials each, whose event is at another time of each."""
+    folder, rng = tmp_path / "study", np.random.default_rng(0)
+    (folder / "posteriors").mkdir(parents=True)
+    (folder / "trials.csv").write_text("trial\n")
+    (folder / "left_out.csv").write_text("trial,subject,session,reason\nt9,1,1,it is <b>gone</b>\n")
+    times = np.linspace(-0.2, 0.3, 11)
+    rows = [
+        {"joint": joint, "condition": level, "time": t, "mean": k + t + n, "q05": k + t + n - 1, "q95": k + t + n + 1}
+        | {"trial_q05": k + t + n - 2, "trial_q95": k + t + n + 2, "unit": "N·m", "trials": 2}
+        for k, joint in enumerate(("shoulder", "elbow")) for n, level in enumerate(("01", "2")) for t in times
+    ]  # fmt: skip
+    pd.DataFrame(rows).to_csv(folder / "averages_touch.csv", index=False)
+    pd.DataFrame(rows).to_csv(folder / "averages_lift.csv", index=False)
+    pd.DataFrame({"joint": ["elbow"], "quantity": ["peak"], "mean": [1.23456], "found": [True]}).to_csv(
+        folder / "differences.csv", index=False
+    )
+    clock = np.tile(np.arange(31) / 30, (4, 1))
+    events = np.array([0.3, 0.4, 0.5, np.nan])
+    torque = (clock - events[:, None])[:, None, :, None] + np.array([0.0, 1.0]) + 0.01 * rng.normal(size=(4, 49, 31, 2))
+    xr.Dataset(
+        {"torque": (("trial", "draw", "row", "joint"), torque), "time": (("trial", "row"), clock)},
+        {
+            "joint": ["shoulder", "elbow"],
+            "condition": ("trial", ["01", "01", "2", "2"]),
+            "event_touch": ("trial", events),
+        },
+    ).to_netcdf(folder / "posteriors" / "1_1.nc", engine="h5netcdf")
+    return folder
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_study_by_condition_aligned(browser, study, tmp_path, width):
+    write_view(study, tmp_path / "page.html", "touch")
+    opened(browser, tmp_path / "page.html", width)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert browser.find_element("tag name", "h1").text == "Torques of 4 trials by condition"
+    assert "t9 is left out: it is <b>gone</b>" in browser.find_element("tag name", "header").text
+    legend = [each.text for each in browser.find_elements("css selector", ".curves .legend li")]
+    assert legend == ["01 (2 trials)", "2 (2 trials)"]
+    go(browser, 6)  # .1 s after the event
+    told = [value(line) for line in cells(browser)[1][0].splitlines()]
+    np.testing.assert_allclose(told, [[1.1, -0.9, 3.1], [2.1, 0.1, 4.1]], atol=0.051)
+    panel = data_of(tmp_path / "page.html")["panels"][1]
+    assert [each["style"] for each in panel["trials"]] == ["after", "after", "before"], "the fourth lacks the event"
+    for each in panel["trials"]:  # each trial's torque is the time after its event, and 1
+        np.testing.assert_allclose(each["values"], 1.0 + np.linspace(-0.2, 0.3, 11), atol=0.01)
+    assert "1.23" in browser.find_element("css selector", ".curves [aria-label=Differences]").text
+    assert browser.get_log("browser") == []
+
+
+def test_a_study_is_aligned_at_an_event_of_its_own(study):
+    assert view_of(study).kicker.endswith("aligned at lift")
+    with pytest.raises(InputError, match="expected --align with an event among lift, touch, got 'go'"):
+        view_of(study, "go")
+    with pytest.raises(InputError, match="leave --align out"):
+        view_of(study / "posteriors" / "1_1.nc", "touch")
+
+
 @pytest.mark.long
 def test_a_real_diagnosis(browser, tmp_path):
     save(diagnosed(), tmp_path)
@@ -269,7 +331,7 @@ def test_missing_stays_missing_and_numbers_are_as_fine_as_needed(make_posterior,
 
 def test_what_is_no_result_is_refused(tmp_path, found, run):
     (tmp_path / "other").mkdir()
-    with pytest.raises(InputError, match=r"expected a posterior, \.nc, or the folder of a diagnosis"):
+    with pytest.raises(InputError, match=r"expected a posterior, \.nc, or a folder of `invdyn diagnose`"):
         view_of(tmp_path / "other")
     (tmp_path / "other" / "diagnosis.json").write_text("{}")
     with pytest.raises(InputError, match=r"left no posterior\.nc"):

@@ -1,0 +1,166 @@
+"""A page of curves, and of a body that moves with them: one file that opens anywhere, without a server or a network.
+
+Curves are drawn by uPlot 1.6.32 (Leon Sorokin, MIT), which the page holds; its own script is `view_page/view.js`. As a
+report, it carries the digest of the one script that may run, and escapes all that it is given.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2.utils import htmlsafe_json_dumps
+from markupsafe import Markup
+
+from invdyn.diagnosis.report.report import TEMPLATES, digest, environment
+
+from .plots import usual_range
+
+ASSETS = Path(__file__).parent / "view_page"
+
+
+@dataclass
+class View:
+    """What a page shows; T rows, N points of the body (the first one is its base), d dimensions. A study has no body.
+
+    Attributes:
+        title, kicker: heading, and the line above it.
+        time: (T,) s.
+        unit: of length.
+        lines: of the body, as numbers of points along each.
+        names: of the last points, one each, in words.
+        arms: name and style (before, after) -> (T, N, d), the most important one last.
+        draws: (R, T, N, d), pale.
+        observed: (T, P, d), NaN where missing.
+        panels: one a curve, see :meth:`panel`.
+        tables: title -> rows of cells, the first one its head.
+        doubts, said: sentences above all else.
+        notes: what a group's curves are. summary: text of a run. foot: the last line.
+    """
+
+    title: str
+    kicker: str
+    time: np.ndarray
+    unit: str
+    lines: list[list[int]]
+    names: list[str]
+    arms: dict[tuple[str, str], np.ndarray]
+    draws: np.ndarray
+    observed: np.ndarray
+    doubts: list[str] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    notes: dict[str, str] = field(default_factory=dict)
+    summary: str = ""
+    foot: str = ""
+    panels: list[dict[str, Any]] = field(default_factory=list)
+    tables: dict[str, list[list[str]]] = field(default_factory=dict)
+
+    def panel(
+        self,
+        group: str,
+        joint: str,
+        unit: str,
+        sides: list[dict[str, Any]],
+        trials: Sequence[tuple[str, np.ndarray]] = (),
+        **more: np.ndarray | None,
+    ) -> None:
+        """Add the curves of a joint.
+
+        Each side has a name, a style, and `low`, `middle`, `high` (T,), of a posterior also `lower` and `upper`.
+        ``trials`` are pale, each of a style. More curves are `truth`, `command` and `dots`.
+        """
+        own = {name: values for name, values in more.items() if values is not None and np.isfinite(values).any()}
+        curves = [side[each] for side in sides for each in ("low", "middle", "high")]
+        shown = usual_range(np.concatenate([*curves, *own.values()])) or (-1.0, 1.0)
+        label = f"{group} of {joint} over time, {unit}: {'; '.join(map(self._in_words, sides))}"
+        joints, groups = ([each[key] for each in self.panels] for key in ("joint", "group"))
+        row, column = (list(dict.fromkeys(names)).index(names[-1]) for names in ([*joints, joint], [*groups, group]))
+        every = [{k: v if isinstance(v, str) else rounded(v, shown) for k, v in side.items()} for side in sides]
+        kept = {name: rounded(values, shown) for name, values in own.items()}
+        self.panels.append(
+            {"id": len(self.panels), "group": group, "joint": joint, "unit": unit, "label": label, "range": shown}
+            | {"sides": every, "row": row, "column": 1 + column, **kept}
+            | {"trials": [{"style": style, "values": rounded(values, shown)} for style, values in trials]}
+        )
+
+    def _in_words(self, side: dict[str, Any]) -> str:
+        middle = side["middle"]
+        if not np.isfinite(middle).any():
+            return f"{side['name']}: not known"
+        least, most = (
+            f"{middle[at]:.3g} at {self.time[at]:.2f} s" for at in (np.nanargmin(middle), np.nanargmax(middle))
+        )
+        half = 0.5 * float(np.nanmedian(side["high"] - side["low"]))
+        return f"{side['name']} from {least} to {most}, give or take {half:.2g} (90 %)"
+
+    def legend(self, group: str) -> list[tuple[str, str]]:
+        """Names and styles of a group's curves."""
+        own = [panel for panel in self.panels if panel["group"] == group]
+        named = [(side["name"], side["style"]) for panel in own for side in panel["sides"]]
+        named += [(name, name) for name in ("truth", "command") if any(name in panel for panel in own)]
+        return list(dict.fromkeys(named))
+
+    def _body(self) -> dict[str, Any]:
+        """What the script draws of the body."""
+        if not self.arms:
+            return {}
+        points = np.concatenate([*self.arms.values(), self.observed], axis=1).reshape(-1, self.observed.shape[-1])
+        low, high = np.nanquantile(points, [0.005, 0.995], axis=0)  # an outlier must not shrink the body
+        edge = 0.04 * (high - low).max()
+        box = low - edge, high + edge
+        span = float(low.min()), float(low.min() + (high - low).max())
+        return {
+            "space": len(low),
+            "unit": self.unit,
+            "lines": self.lines,
+            "named": self.names,
+            "spots": list(range(next(iter(self.arms.values())).shape[1]))[-len(self.names) :],
+            "box": rounded(np.array(box), span),
+            "arms": [{"style": style, "points": rounded(each, span)} for (_, style), each in self.arms.items()],
+            "draws": rounded(self.draws, span),
+            "observed": rounded(self.observed, span),
+        }
+
+    def html(self) -> str:
+        """The page."""
+        body = self._body()
+        data = {"time": rounded(self.time, (0.0, 1.0)), "panels": self.panels, **body}
+        groups = list(dict.fromkeys(panel["group"] for panel in self.panels))
+        script = "".join((ASSETS / name).read_text(encoding="utf-8") for name in ("uPlot.min.js", "view.js"))
+        styles = [ASSETS / "uPlot.min.css", TEMPLATES / "report.css", ASSETS / "view.css"]
+        return (
+            environment(ASSETS)
+            .get_template("view.html.j2")
+            .render(
+                title=self.title,
+                kicker=self.kicker,
+                doubts=self.doubts,
+                said=self.said,
+                notes={group: self.notes.get(group, "") for group in groups},
+                legends={group: self.legend(group) for group in groups},
+                arms=[{"name": name, "style": style} for name, style in self.arms],
+                observed=bool(np.isfinite(self.observed).any()),
+                groups=groups,
+                joints=list(dict.fromkeys(panel["joint"] for panel in self.panels)),
+                panels=self.panels,
+                tables=self.tables,
+                space=body.get("space", 0),
+                last=len(self.time) - 1,
+                summary=self.summary,
+                foot=self.foot,
+                data=htmlsafe_json_dumps(data, separators=(",", ":"), allow_nan=False),
+                script=Markup(script),
+                style=Markup("\n".join(path.read_text(encoding="utf-8") for path in styles)),
+                digest=digest(script),
+            )
+        )
+
+
+def rounded(values: np.ndarray, span: tuple[float, float]) -> Any:
+    """As nested lists, to a five-thousandth of a span; NaN becomes None."""
+    digits = max(0, 4 - math.floor(math.log10(max(span[1] - span[0], 1e-12))))
+    values = np.round(np.asarray(values, float), digits)
+    lists = np.where(np.isfinite(values), values, None)
+    return lists.tolist()
