@@ -14,9 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from invdyn.diagnosis.check.torque_regression import Motion, joint_regressors
-from invdyn.diagnosis.regression.regressors import base_columns, link_regressors, nominal_link_numbers
-from invdyn.models.bodies.inertia import NAMES
-from invdyn.models.bodies.protocol import AXES
+from invdyn.diagnosis.regression.regressors import base_columns, link_axes, link_regressors, nominal_link_numbers
 from invdyn.models.dynamics.interface import Dynamics
 
 
@@ -66,12 +64,8 @@ def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
     """Names, units and nominal values (P,) of the columns."""
     own = nominal_link_numbers(body)
     words = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
-    axes = [(), AXES, NAMES] if body.dimensions == 3 else [(), (), ()]
-    kinds = [
-        (f"{kind} {axis}".strip(), unit)
-        for (kind, unit), each, _ in zip(words, axes, own, strict=False)
-        for axis in each or ("",)
-    ]
+    every = zip(words, link_axes(body), own, strict=False)  # a body of another kind has none
+    kinds = [(f"{kind} {axis}".strip(), unit) for (kind, unit), axes, _ in every for axis in axes]
     links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names]
     besides = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
     joints = [(f"{kind} at {joint}", unit) for kind, unit in besides for joint in body.joint_names]

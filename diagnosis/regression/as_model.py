@@ -8,7 +8,7 @@ Shapes: R rows, K joints, W windows. Units: rad, s, N·m.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +17,10 @@ from torch import Tensor
 
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
-from invdyn.diagnosis.regression.regressors import nominal_link_numbers
+from invdyn.diagnosis.regression.regressors import link_axes, nominal_link_numbers
 from invdyn.diagnosis.rules import FIXED
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body
-from invdyn.models.bodies.inertia import NAMES
-from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import ABRUPT, Effect
 from invdyn.models.effects.inertias import point_moments
@@ -80,7 +78,7 @@ def _links(model: ArmModel, found: Coefficients) -> dict[str, Tensor]:
     names = {name: n for n, name in enumerate(body.link_names)}
     mass, first, second = (each.copy() for each in nominal_link_numbers(body))
     order = {"mass": mass, "first moment": first, "second moment": second}
-    rows = {word: list(_axes(body, word)) for word in order}
+    rows = {word: [f"{word} {a}".strip() for a in axes] for word, axes in zip(order, link_axes(body), strict=True)}
     for (_, place, name), value in found.items():
         word = next(each for each in order if name.startswith(each))
         order[word][rows[word].index(name), names[place]] += value
@@ -95,11 +93,6 @@ def _links(model: ArmModel, found: Coefficients) -> dict[str, Tensor]:
         "body.com": com.reshape(model.parameters["body.com"].shape).contiguous(),
         "body.inertia": own.reshape(model.parameters["body.inertia"].shape).contiguous(),
     }
-
-
-def _axes(body: ArticulatedBody, word: str) -> Sequence[str]:
-    axes = {"mass": ("",), "first moment": AXES, "second moment": NAMES} if body.dimensions == 3 else {}
-    return [f"{word} {axis}".strip() for axis in axes.get(word, ("",))]
 
 
 def torque_missed(model: ArmModel, motion: MeasuredMotion, cutoff: float) -> np.ndarray:

@@ -31,13 +31,12 @@ from invdyn.diagnosis.regression.regressors import (
     base_columns,
     filed_torques,
     inverse,
+    link_axes,
     link_regressors,
     nominal_link_numbers,
 )
 from invdyn.diagnosis.rules import FIXED, Rules
-from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.joint_parts import NOTHING
-from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
 
 INERTIAL = "inertial_error"
@@ -189,7 +188,6 @@ def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.
 
 def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
     """Names and units of a link's columns, in the order of :func:`.regressors.link_regressors`."""
-    axes = [("",), AXES, NAMES] if body.dimensions == 3 else [("",), ("",), ("",)]
     words = (("mass", "kg"), ("first moment", "kg·m"), ("second moment", "kg·m²"))
-    found = zip(words, axes, strict=True)
+    found = zip(words, link_axes(body), strict=True)
     return [(f"{word} {axis}".strip(), unit) for (word, unit), every in found for axis in every] if own else []

@@ -40,7 +40,7 @@ PLAIN: tuple[tuple[str, ...] | None, ...] = (None, FRICTION, (*FRICTION, INERTIA
 class Estimated:
     """A number: `parameter` of an effect at a place, with its 90 % interval; `of_file` is what the file has of it.
 
-    ``parts`` are further numbers that are known with it alone, name → factor (:func:`.regressors.base_columns`).
+    ``known_with`` are further numbers that are known with it alone, name → factor (:func:`.regressors.base_columns`).
     """
 
     effect: str
@@ -51,17 +51,17 @@ class Estimated:
     interval_90: tuple[float, float]
     unit: str
     of_file: float = 0.0
-    parts: Mapping[str, float] = field(default_factory=dict)
+    known_with: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Stated:
-    """An effect and its places, all of them where `everywhere`; the nats that it gains over the set without it."""
+    """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it."""
 
     effect: str
     places: tuple[str, ...]
     everywhere: bool
-    gain: float
+    gain_nats: float
 
 
 @dataclass(frozen=True)
@@ -94,26 +94,10 @@ class Regression:
     unseen: Unseen | None = field(default=None, repr=False, compare=False)
 
     def to_json(self) -> dict[str, Any]:
-        """As a JSON file has it."""
+        """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
         return {
-            "statements": [
-                {"effect": s.effect, "places": list(s.places), "everywhere": s.everywhere, "gain_nats": s.gain}
-                for s in self.stated
-            ],
-            "numbers": [
-                {
-                    "effect": each.effect,
-                    "place": each.place,
-                    "parameter": each.parameter,
-                    "value": each.value,
-                    "sd": each.sd,
-                    "interval_90": list(each.interval_90),
-                    "unit": each.unit,
-                    "of_file": each.of_file,
-                    "known_with": dict(each.parts),
-                }
-                for each in self.numbers
-            ],
+            "statements": self.stated,
+            "numbers": self.numbers,
             "torque": self.torque.to_json(self.joints),
             "friction_alone": self.plain.to_json(self.joints),
             "rows": self.rows,

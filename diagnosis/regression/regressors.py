@@ -7,6 +7,7 @@ Some of them act only together: base parameters (Gautier & Khalil 1990), found b
 Shapes: R rows, K joints, L links, P = 3 L columns in the plane, 10 L in space. Units: rad, s, kg, m, N·m.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +15,9 @@ import scipy.linalg
 import torch
 
 from invdyn.diagnosis.rules import FIXED
+from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
 
@@ -101,6 +104,11 @@ def nominal_link_numbers(body: Any) -> list[np.ndarray]:
     every = [inertia_of(p, k) for k in range(len(body.link_names))]
     own = [(e.mass, e.mass * e.com, e.moments + e.mass * point_moments(e.com)) for e in every]
     return [torch.stack(quantity, -1).numpy() for quantity in zip(*own, strict=True)]
+
+
+def link_axes(body: Any) -> list[Sequence[str]]:
+    """Of m, m c and J what tells a link's own columns apart, as "x" or "xx"; "" where there is one."""
+    return [("",), AXES, NAMES] if body.dimensions == 3 else [("",)] * 3
 
 
 def base_columns(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

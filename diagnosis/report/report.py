@@ -162,7 +162,9 @@ def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     found = diagnosis.regression.numbers if diagnosis.regression is not None else ()
     rows: list[tuple[str, ...]] = []
     for each in found:
-        with_others = "".join(f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.parts.items())
+        with_others = "".join(
+            f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.known_with.items()
+        )
         of = "of" if each.effect == "inertial_error" else "at"
         what = f"{effect_words(each.effect)}: {each.parameter} {of} {each.place}{with_others}"
         rows.append((what, *estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))))
