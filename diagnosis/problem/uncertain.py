@@ -13,7 +13,7 @@ from invdyn.models import ArticulatedBody, Body
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS
 from invdyn.models.bodies.protocol import AXES
-from invdyn.models.bodies.scalars import QUANTITIES, UNITS
+from invdyn.models.bodies.scalars import UNITS
 
 GEOMETRY = frozenset({"length", "position", "sites"})
 """Numbers that say where points are, however they move."""
@@ -57,41 +57,31 @@ def uncertain_numbers(body: ArticulatedBody) -> tuple[Uncertain, ...]:
 @uncertain_numbers.register
 def _(body: Body) -> tuple[Uncertain, ...]:
     """Priors of its scalars, numbers that it calls uncertain, and joints' own numbers."""
-    return tuple((_of_chain(body) if body.is_chain else _of_tree(body)) + _of_joints(body))
+    return tuple(_of_links(body) + _of_joints(body))
 
 
-def _of_chain(body: Body) -> list[Uncertain]:
-    """A moment of inertia that is left out follows the mass.
+def _of_links(body: Body) -> list[Uncertain]:
+    """Priors of scalars. Of a chain in the plane a moment of inertia that is left out follows the mass.
 
     One that is written as a number would stay as it is however heavy the link: it is taken to be known as well as the
-    mass is, relatively, and no better.
+    mass is, relatively, and no better. In space moments that are numbers stay.
     """
-    found: list[Uncertain] = []
-    for k, link in enumerate(body.with_uncertainty().links):
-        given = {quantity: getattr(link, quantity) for quantity in QUANTITIES}
-        priors = {quantity: prior for quantity, prior in given.items() if isinstance(prior, Distribution)}
-        known = {quantity: (p.mean.item(), p.stddev.item()) for quantity, p in priors.items()}
-        moment = link.nominal("inertia")
-        if "mass" in priors and isinstance(given["inertia"], float) and moment > 0:
-            known["inertia"] = moment, moment * float(priors["mass"].stddev / priors["mass"].mean)
-        found += [
-            Uncertain(name, k, mean, sd, link.name, name, UNITS[name], name == "com")
-            for name, (mean, sd) in known.items()
-        ]
-    return found
-
-
-def _of_tree(body: Body) -> list[Uncertain]:
-    """Moments that are numbers stay."""
-    found = []
-    for name, entry, prior in body.with_uncertainty().scalars():
-        if isinstance(prior, Distribution):
-            size = {"mass": 1, "inertia": 6}.get(name, 3)
-            place = (body.keypoint_names if name == "sites" else body.link_names)[entry // size]
-            axis = ("", *AXES, *NAMES)[0 if size == 1 else (1 if size == 3 else 4) + entry % size]
-            what = "_".join(filter(None, (WORDS.get(name, name), axis)))
-            known = prior.mean.item(), prior.stddev.item()
-            found.append(Uncertain(name, entry, *known, place, what, (UNITS | IN_SPACE)[name], name in body.signed))
+    free, found = body.with_uncertainty(), list[Uncertain]()
+    for name, entry, given in free.scalars():
+        size = 1 if body.is_chain else {"mass": 1, "inertia": 6}.get(name, 3)
+        if isinstance(given, Distribution):
+            known = given.mean.item(), given.stddev.item()
+        elif body.is_chain and name == "inertia" and isinstance(given, float) and given > 0:
+            if not isinstance(mass := free.links[entry].mass, Distribution):
+                continue
+            known = given, given * float(mass.stddev / mass.mean)
+        else:
+            continue
+        place = (body.keypoint_names if name == "sites" else body.link_names)[entry // size]
+        axis = ("", *AXES, *NAMES)[0 if size == 1 else (1 if size == 3 else 4) + entry % size]
+        what = "_".join(filter(None, (WORDS.get(name, name), axis)))
+        signed = name == "com" if body.is_chain else name in body.signed
+        found.append(Uncertain(name, entry, *known, place, what, (UNITS | IN_SPACE)[name], signed))
     return found
 
 
