@@ -37,7 +37,7 @@ from invdyn.diagnosis.hypotheses.search import NOTHING, search
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, NotEnoughData, cannot_follow, diagnosis_problem
-from invdyn.diagnosis.problem.thinned import left_out
+from invdyn.diagnosis.problem.stretches import left_out
 from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.report.sentences import details, verdict

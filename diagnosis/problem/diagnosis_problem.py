@@ -17,11 +17,10 @@ from invdyn.diagnosis.budget import Budget
 from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue
 from invdyn.diagnosis.kept_units import content_digest
 from invdyn.diagnosis.problem.conventions import check_conventions, refuse
-from invdyn.diagnosis.problem.labels import relabelled
 from invdyn.diagnosis.problem.noise_floor import noise_at_rest, shrunk, variance_of_log
-from invdyn.diagnosis.problem.outliers import calm
+from invdyn.diagnosis.problem.outliers import calm, relabelled
 from invdyn.diagnosis.problem.regime import Regime, regime_of
-from invdyn.diagnosis.problem.thinned import looked_at
+from invdyn.diagnosis.problem.stretches import looked_at
 from invdyn.diagnosis.problem.uncertain import GEOMETRY, Uncertain, uncertain_numbers
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.inference.execution.checkpoint import Checkpoint

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pendulum import ARM, PENDULUM
 
-from invdyn.diagnosis.problem.labels import relabelled
+from invdyn.diagnosis.problem.outliers import relabelled
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, planar_body
 

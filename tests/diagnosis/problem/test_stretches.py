@@ -6,9 +6,8 @@ import numpy as np
 from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.problem import stretches as module
-from invdyn.diagnosis.problem import thinned
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.stretches import stretches
+from invdyn.diagnosis.problem.stretches import left_out, looked_at, stretches
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.recordings import Recording
 
@@ -64,8 +63,8 @@ def test_a_problem_of_them_says_what_was_left_out():
     log = robot_log(40, camera=False)
     problem = diagnosis_problem(log, ARM, rules=rules)
     assert 150 < len(problem.observations) <= 200
-    parts = thinned.looked_at(log, rules)
+    parts = looked_at(log, rules)
     assert len(problem.starts) == len(parts) - 1 > 0
-    told = thinned.left_out([log], rules)
+    told = left_out([log], rules)
     assert told.startswith(f"Of 20000 rows with an observation {len(problem.observations)} were used")
     assert f"of its 40 s the {seconds_of(parts):.4g} s with most information were used" in told

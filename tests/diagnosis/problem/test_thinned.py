@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from robot_log import robot_log
 
-from invdyn.diagnosis.problem.thinned import left_out, thinned
+from invdyn.diagnosis.problem.stretches import left_out, thinned
 from invdyn.diagnosis.rules import DEFAULT
 
 ROWS = DEFAULT.recording.max_rows

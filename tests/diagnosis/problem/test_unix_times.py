@@ -8,7 +8,7 @@ import torch
 from pendulum import ARM, recording_of
 
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.thinned import left_out
+from invdyn.diagnosis.problem.stretches import left_out
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.scale import Scale
 
