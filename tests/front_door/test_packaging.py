@@ -43,6 +43,7 @@ def test_constraints_are_plain_versions():
 def tree():
     """All files of the package by their place in it, the rooms' among them."""
     own = {path.name for path in (ROOT / "invdyn").iterdir() if path.is_file()}
+    own |= {f"view_page/{path.name}" for path in (ROOT / "invdyn" / "view_page").iterdir()}
     rooms = {path.relative_to(ROOT).as_posix() for room in ROOMS for path in (ROOT / room).rglob("*") if path.is_file()}
     return {f"invdyn/{name}" for name in own | rooms if "__pycache__" not in name}
 
