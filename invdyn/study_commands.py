@@ -43,6 +43,8 @@ SUFFIXES = (".csv", ".h5", ".hdf5", ".slp", ".nwb", ".trc", ".mot")
 OF_BODY = ("body", "height", "mass", "sex")
 OF_READING = ("fps", "units", "scale", "base", "individual", "frames")
 KNOWN = ("recording", "trial", "subject", "session", "condition", "events", "clock_offset", "note")
+SAID = 20
+"""Reasons that are printed."""
 NUMBERS = ("height", "mass", "fps")
 
 
@@ -272,7 +274,10 @@ def _number(name: str, text: str) -> float:
 def study_text(study: "Study") -> str:
     """What a study found, in a few lines."""
     lines = [f"{len(study.posteriors)} of {len(study.trials)} trials, {len(study.sessions)} sessions"]
-    lines += [f"left out: {row.trial}: {row.reason}" for row in study.reasons.itertuples()]
+    reasons = [f"left out: {row.trial}: {row.reason}" for row in study.reasons.itertuples()]
+    lines += reasons[:SAID]
+    if len(reasons) > SAID:
+        lines.append(f"left out: {len(reasons) - SAID} more, named in left_out.csv")
     for factor in dict.fromkeys(name for trial in study.trials for name in trial.factors):
         if len(study.posteriors) < 2 or len(set(study.table[factor]) - {""}) < 2:
             continue

@@ -9,6 +9,7 @@ parameters (:func:`share_session`). At last each trial has its posterior at what
 * the method says that its evidence is not usable.
 
 An error in one trial stays with that trial. Results are tensors by name, as checkpoints hold them; words are bytes.
+A part is one step of the work, so that none says how far it is.
 """
 
 import json
@@ -50,7 +51,7 @@ def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
         values = {f"{VALUE}{f.name}": found.model.parameters[f.name] for f in free}
         return {**values, "path": found.path, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
 
-    return _guarded(work, progress)
+    return _guarded(work)
 
 
 NOT_SETTLED = "the fit did not settle"
@@ -80,7 +81,7 @@ def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *,
         notes = [] if found.converged else [f"{NOT_SETTLED} that the session shares"]
         return {**shared, "sd": sd, "log_evidence": torch.as_tensor(found.log_evidence), **words(notes=notes)}
 
-    return _guarded(work, progress)
+    return _guarded(work)
 
 
 def infer_trial(
@@ -119,7 +120,7 @@ def infer_trial(
             units={name: str(posterior[name].attrs["units"]) for name in CURVES},
         )
 
-    return _guarded(work, progress)
+    return _guarded(work)
 
 
 def path_shape(posterior: Any) -> tuple[int, int]:
@@ -155,18 +156,15 @@ def _left_out(reason: str) -> Tensors:
     return words(left_out=" ".join(reason.split()))
 
 
-def _guarded(work: Callable[[], Tensors], progress: Report) -> Tensors:
+def _guarded(work: Callable[[], Tensors]) -> Tensors:
     """The result, or why there is none; one trial's error is told and does not stop the others."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what matters of a trial stands in its words
-            found = work()
+            return work()
     except Exception as error:
         kind = "" if isinstance(error, ValueError | ArithmeticError) else f"{type(error).__name__}: "
-        found = _left_out(kind + first_line(error))
-    if progress is not None:
-        progress(1, 1)
-    return found
+        return _left_out(kind + first_line(error))
 
 
 def parameters_of(part: Tensors) -> dict[str, Tensor]:
