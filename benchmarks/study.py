@@ -26,7 +26,7 @@ import torch
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.functionals import path_functionals
 from invdyn.inference.smoothing.linearised import gaussian_smoother
-from invdyn.inference.study.study import run_study
+from invdyn.inference.study.run import run_study
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import bound, parameters_of
 from invdyn.inputs import load_body

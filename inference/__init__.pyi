@@ -83,8 +83,8 @@ from .smoothing.gauss_newton import gauss_newton as gauss_newton
 from .smoothing.gaussian_chain import GaussianChain as GaussianChain
 from .smoothing.linearised import gaussian_smoother as gaussian_smoother
 from .smoothing.posterior_linearisation import posterior_linearisation as posterior_linearisation
+from .study.run import run_study as run_study
 from .study.study import Study as Study
-from .study.study import run_study as run_study
 from .study.trial import Trial as Trial
 from .task import Task as Task
 from .task import free_parameters as free_parameters

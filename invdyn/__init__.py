@@ -36,7 +36,7 @@ def trials(
 
     Args:
         table: a .csv or a data frame, one row a trial, with columns recording, subject, session, condition, event_…;
-            or a folder of recordings (:mod:`.study_commands` lists all columns).
+            or a folder of recordings (:mod:`.study_table` lists all columns).
         body: a body, or its file; None where the table has bodies, or ``height``, ``mass`` and ``sex`` are given.
         method: a key of ``METHODS``.
         workers: processes, or a Dask scheduler's address; the result is the same to the bit.

@@ -1,35 +1,25 @@
-"""A study: many trials inferred together, session by session, with tables of what they say.
+"""A study: trials with their posteriors, and tables of what they say.
 
-Trials are fitted alone, sessions share the parameters of trials that fit (:mod:`.work`), estimates of trials are
-pooled over sessions and subjects (:mod:`.pooling`). All of it is done in parts, which workers share and a checkpoint
-keeps, with the same bits for any number of workers and however often it was interrupted.
+Estimates of trials are pooled over sessions and subjects (:mod:`.pooling`); torques are averaged at events
+(:mod:`.averages`).
 """
 
-import hashlib
 from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-import torch
 
-from invdyn.inference.execution.checkpoint import Checkpoint, digest
-from invdyn.inference.execution.distribute import Tensors, distribute, inside
-from invdyn.inference.execution.progress import Progress, stage
-from invdyn.inference.execution.seeds import derived
-from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.study.averages import average_curves
 from invdyn.inference.study.pooling import MIN_TRIALS, Pooled, pool
 from invdyn.inference.study.quantities import STATISTICS
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import fit_trial, infer_trial, parameters_of, said, share_session
+from invdyn.inference.study.work import parameters_of, said
 from invdyn.recordings import InputError
 
 if TYPE_CHECKING:
@@ -174,94 +164,3 @@ class Study:
     @cached_property
     def _pools(self) -> dict[str, list[tuple[dict[str, str], Pooled, Counter]]]:
         return {}
-
-
-def run_study(
-    trials: Sequence[Trial],
-    how: How | None = None,
-    *,
-    executor: Executor | None = None,
-    checkpoint: str | Path | None = None,
-    progress: Progress | None = None,
-) -> Study:
-    """Infer all trials, sharing within sessions.
-
-    Args:
-        trials: with names that differ.
-        how: method, sizes, seed.
-        executor: whose workers share trials and sessions; the result is the same to the bit.
-        checkpoint: folder that keeps what is done; the same call goes on from there.
-        progress: called with (trials or sessions done, all, what).
-
-    Raises InputError for no trials, two of one name, an unknown method, or a checkpoint of another study; LostWork.
-    """
-    how = how or How()
-    if how.method not in METHODS:
-        raise InputError(f"expected a method among {', '.join(METHODS)}, got {how.method!r}")
-    if not trials:
-        raise InputError("expected one trial or more, got none")
-    if twice := [name for name, count in Counter(trial.name for trial in trials).items() if count > 1]:
-        raise InputError(f"expected trials with names of their own, got two called {twice[0]!r}")
-    how.sizes.check()
-    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(trials, how))
-    left_out = {place: trial.unread for place, trial in enumerate(trials) if trial.unread}
-
-    def run(part: Any, places: Sequence[int], arguments: list[tuple], what: str) -> list[Tensors]:
-        names = [f"{what} of {trials[place].name}" for place in places]
-        where = {"executor": executor, "checkpoint": inside(kept, what)}
-        return distribute(part, arguments, names, **where, progress=stage(progress, what))
-
-    read = [place for place in range(len(trials)) if place not in left_out]
-    alone = run(fit_trial, read, [(trials[place], how) for place in read], "fit")
-    fits = dict(zip(read, alone, strict=True))
-    left_out |= _reasons(fits)
-
-    groups = _groups(trials, {place: fit for place, fit in fits.items() if place not in left_out})
-    work = [([trials[i] for i in members], [fits[i] for i in members], how) for members in groups]
-    shared = run(share_session, [members[0] for members in groups], work, "session")
-    sessions = tuple(zip(groups, shared, strict=True))
-    for members, part in sessions:
-        if reason := said(part).get("left_out"):
-            left_out |= dict.fromkeys(members, f"its session's parameters could not be fitted: {reason}")
-
-    of = {place: part for members, part in sessions for place in members if place not in left_out}
-    order = sorted(of)
-    work = [(trials[i], how, fits[i], of[i], derived(how.seed, i)) for i in order]
-    posteriors = dict(zip(order, run(infer_trial, order, work, "posterior"), strict=True))
-    left_out |= _reasons(posteriors)
-    used = tuple(each for each in sessions if "left_out" not in said(each[1]))
-    whole = {place: part for place, part in posteriors.items() if place not in left_out}
-    return Study(tuple(trials), how, tuple(fits.get(i, {}) for i in range(len(trials))), used, whole, left_out)
-
-
-def _reasons(parts: dict[int, Tensors]) -> dict[int, str]:
-    return {place: reason for place, part in parts.items() if (reason := said(part).get("left_out"))}
-
-
-def _groups(trials: Sequence[Trial], fits: dict[int, Tensors]) -> list[tuple[int, ...]]:
-    """Places of trials that share: of one session, with one body and the same parameters to fit."""
-    groups: dict[Any, list[int]] = {}
-    for place, fit in fits.items():
-        form = tuple((name, tuple(value.shape)) for name, value in parameters_of(fit).items())
-        trial = trials[place]
-        groups.setdefault((trial.subject, trial.session, repr(trial.body), form), []).append(place)
-    return [tuple(members) for members in groups.values()]
-
-
-def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
-    """All that the numbers depend on."""
-    tensors = []
-    for recording in (trial.recording for trial in trials if trial.recording is not None):
-        views = getattr(recording, "views", None)
-        data = [recording.time, recording.keypoints, recording.angles, recording.torques, recording.confidence]
-        data += [] if views is None else [views.pixels]
-        tensors += [torch.as_tensor(each) for each in data if each is not None]
-    bodies = hashlib.sha256("\n".join(repr(trial.body) for trial in trials).encode()).hexdigest()[:16]
-    labels = [[*trial.labels.values(), *map(str, trial.events.items())] for trial in trials]
-    return {
-        "version": version("invdyn"),
-        "recordings": digest(*tensors),
-        "bodies": bodies,
-        "trials": hashlib.sha256(repr(labels).encode()).hexdigest()[:16],
-        "how": repr(how),
-    }

@@ -23,8 +23,8 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
-from invdyn.inference.fitting.marginal_likelihood import LogParameters
-from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed, phi_of
+from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
+from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed, phi_of
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
@@ -34,6 +34,8 @@ from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.study.quantities import quantities, statistics
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.task import Task, at_start, free_parameters
+from invdyn.models import ArmModel
+from invdyn.models.divergence import Diverged
 from invdyn.recordings.errors import first_line
 
 VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
@@ -69,19 +71,36 @@ def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *,
         models = at_common_start([at_start(each, free) for each in problems], free)
         parameters = LogParameters(models[0].to(dtype=torch.float64), free)
         alone = [phi_of(parameters, {f.name: fit[f"{VALUE}{f.name}"] for f in free}) for fit in fits]
-        found = fit_summed(
-            models,
-            [each.observations for each in problems],
-            free,
-            starts=[fit["path"] for fit in fits],
-            phi=np.median(alone, axis=0),  # one trial that is far off does not move it
-        )
+        phi = np.median(alone, axis=0)  # one trial that is far off does not move it
+        rows, paths = [each.observations.double() for each in problems], [fit["path"] for fit in fits]
+        sets = list(zip(models, rows, paths, strict=True))
+        try:
+            found = _fitted(sets, free, phi)
+        except Diverged:
+            # Without those that have no evidence here: they are left out when their own turn comes.
+            finite = [each for each in sets if _finite(*each, free, phi)]
+            if not finite:
+                raise
+            found = _fitted(finite, free, phi)
         shared = {f"{VALUE}{f.name}": found.models[0].parameters[f.name] for f in free}
         sd = torch.as_tensor(np.sqrt(np.diagonal(found.covariance)))
         notes = [] if found.converged else [f"{NOT_SETTLED} that the session shares"]
         return {**shared, "sd": sd, "log_evidence": torch.as_tensor(found.log_evidence), **words(notes=notes)}
 
     return _guarded(work)
+
+
+def _fitted(sets: Sequence[tuple[ArmModel, Tensor, Tensor]], free: Sequence[Free], phi: np.ndarray) -> SharedFit:
+    models, observations, starts = zip(*sets, strict=True)
+    return fit_summed(models, observations, free, starts=starts, phi=phi)
+
+
+def _finite(model: ArmModel, observations: Tensor, path: Tensor, free: Sequence[Free], phi: np.ndarray) -> bool:
+    """Whether the evidence at φ can be computed."""
+    try:
+        return bool(np.isfinite(Objective(model.to(dtype=torch.float64), observations, free, path).value(phi)))
+    except Diverged:
+        return False
 
 
 def infer_trial(

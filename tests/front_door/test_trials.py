@@ -12,7 +12,7 @@ from invdyn.inputs import load_body
 from invdyn.models import person
 from invdyn.recordings import InputError, read_keypoint_csv, write_keypoint_csv
 from invdyn.simulate import random_arm, record
-from invdyn.study_commands import ManyTrials, read_rows, read_trials
+from invdyn.study_table import ManyTrials, read_rows, read_trials
 from invdyn.view import view_of
 
 SMALL = ("--filters", 8, "--draws", 2)

@@ -9,8 +9,8 @@ import xarray as xr
 
 from invdyn.inference import infer, open_executor
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.study import study as study_module
-from invdyn.inference.study.study import run_study
+from invdyn.inference.study import run as run_module
+from invdyn.inference.study.run import run_study
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import fit_trial, parameters_of, said, share_session
 from invdyn.inputs import load_body
@@ -80,6 +80,16 @@ def test_a_session_shares_one_set_of_parameters(study, trials):
     assert min(noise) < shared < max(noise)
 
 
+def test_a_trial_without_evidence_keeps_no_session_from_sharing(trials):
+    """Its path is infinite: no linearisation of it has an evidence."""
+    alone = [fit_trial(trial, HOW) for trial in trials[:2]]
+    broken = {**alone[1], "path": alone[1]["path"] * float("inf")}
+    shared = share_session([*trials[:2], trials[1]], [*alone, broken], HOW)
+    expected = share_session(trials[:2], alone, HOW)
+    for name, value in parameters_of(expected).items():
+        assert parameters_of(shared)[name].numpy() == pytest.approx(value.numpy(), rel=0.15)  # it begins elsewhere
+
+
 @pytest.mark.long
 def test_one_trial_of_a_session_is_what_infer_says(trials):
     (part,) = run_study(trials[:1], HOW).posteriors.values()
@@ -131,7 +141,7 @@ def test_it_is_the_same_after_every_interruption(study, trials, tmp_path, monkey
     class Ended(BaseException):
         pass
 
-    real, runs = study_module.distribute, 0
+    real, runs = run_module.distribute, 0
 
     def one_more(part, arguments, names, *, checkpoint=None, **rest):
         save, count = type(checkpoint).save, []
@@ -148,7 +158,7 @@ def test_it_is_the_same_after_every_interruption(study, trials, tmp_path, monkey
         finally:
             monkeypatch.setattr(type(checkpoint), "save", save)
 
-    monkeypatch.setattr(study_module, "distribute", one_more)
+    monkeypatch.setattr(run_module, "distribute", one_more)
     while True:
         runs += 1
         try:
