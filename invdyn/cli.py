@@ -318,6 +318,7 @@ def view(
     align: Annotated[
         str | None, typer.Option(help="Event at which a study's trials are aligned; default: the first one.")
     ] = None,
+    rerun: Annotated[Path | None, typer.Option(help="The same for the viewer Rerun: .rrd (extra `rerun`).")] = None,
 ) -> None:
     """One page of a result, to look at and to send.
 
@@ -328,12 +329,20 @@ def view(
 
     check_exist(str(file))
 
-    from .view import write_view
+    from invdyn.recordings import whole_set, write_text
 
-    check_outputs([out], [file])
+    from .rerun_file import write_rerun
+    from .view import view_of
+
+    check_outputs([out, rerun], [file])
     check_ending("a page", out, ".html")
-    write_view(file, out, align)
-    say(f"page       {out}")
+    check_ending("a recording of Rerun", rerun, ".rrd")
+    shown = view_of(file, align)
+    with whole_set():
+        if rerun is not None:
+            write_rerun(shown, rerun)
+        write_text(out, shown.html())
+    say(f"page       {out}" + ("" if rerun is None else f"\nRerun      {rerun}"))
 
 
 @command()
