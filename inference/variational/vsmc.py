@@ -14,7 +14,6 @@ ancestors, which are integers. What becomes of their part of ∇L is a choice, b
 | "dropped"       | nothing: ancestors are constants (Naesseth et al. 2018)         | biased, least variance   |
 | "score"         | adds (later log p̂ − baseline) ∇ Σ log W^a of the ancestors a    | unbiased; see below      |
 | "stop-gradient" | after resampling w = W^a / stop(W^a), Ścibior & Wood (2021)     | biased; E[∇p̂] = ∇p(y)    |
-| "soft"          | a ~ α W + (1 − α)/N, then w = W^a/that, Karkus et al. (2018)    | biased; p̂ is not         |
 | "transport"     | particles moved, not chosen, Corenflos et al. (2021)            | of a p̂ that is biased    |
 
 "stop-gradient" is the default, for it learns a model's parameters. Measured: with a bootstrap guide an autoregression
@@ -23,8 +22,7 @@ starts at −138 nats; after 300 steps it is .25 nats from its maximum, where "d
 
 "score" needs multinomial ancestors, whose probability is a product, and is unbiased where resampling does
 not hang on the parameters: at every row (``ess_threshold=1``). Its baseline is the mean of the other filters.
-"soft" carries the gradient through the weights that are left, at the price of their variance: α = 1 is "dropped",
-α = 0 never resamples. "transport" (:mod:`.ot_resampling`) leaves no ancestors to be differentiated and costs N² a row.
+"transport" (:mod:`.ot_resampling`) leaves no ancestors to be differentiated and costs N² a row.
 Its particles are means of particles, so that p̂ is biased and the bound is none: compare models by another estimator.
 
 Shapes: M filters × N particles, weights and evidence in float64 as in :mod:`.particle_filter`.
@@ -50,7 +48,7 @@ from invdyn.inference.variational.gradient_checkpointing import recomputed
 from invdyn.inference.variational.pyro_adapter import bound_to, draw, drawn_latents, state_space_model
 from invdyn.models.state_space import StateSpaceModel
 
-GRADIENTS = ("dropped", "score", "stop-gradient", "soft", "transport")
+GRADIENTS = ("dropped", "score", "stop-gradient", "transport")
 
 
 SVIModel = StateSpaceModel | Callable[..., Any]
@@ -90,7 +88,6 @@ class VSMC_ELBO(ELBO):
         ess_threshold: resample a filter when its ESS falls below this share of N; in (0, 1].
         resampling: a scheme of :mod:`.resampling`; "score" needs "multinomial".
         gradient: see the table at the top; "dropped" where only a guide is trained.
-        softness: 1 − α of "soft", the share of the uniform in what ancestors are drawn from; in (0, 1].
         regularisation: ε of "transport", relative to the particles' scatter; small is less biased and slower.
         synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs it;
             by default on a CPU.
@@ -110,7 +107,6 @@ class VSMC_ELBO(ELBO):
         ess_threshold: float = 0.5,
         resampling: str = "systematic",
         gradient: str = "stop-gradient",
-        softness: float = 0.5,
         regularisation: float = 0.5,
         synchronous: bool | None = None,
         chunk: int | None = None,
@@ -125,8 +121,6 @@ class VSMC_ELBO(ELBO):
             raise ValueError(f"expected a gradient among {', '.join(GRADIENTS)}, got {gradient!r}")
         if gradient == "score" and resampling != "multinomial":
             raise ValueError(f'gradient "score" needs resampling="multinomial", got {resampling!r}')
-        if not 0 < softness <= 1:
-            raise ValueError(f'expected a softness in (0, 1], got {softness}; without any, it is gradient="dropped"')
         if not regularisation > 0:
             raise ValueError(f"expected a regularisation above zero, got {regularisation}")
         super().__init__(num_particles=num_particles, max_plate_nesting=0)
@@ -134,7 +128,6 @@ class VSMC_ELBO(ELBO):
         self.ess_threshold = ess_threshold
         self.resampling = resampling
         self.gradient = gradient
-        self.softness = softness
         self.regularisation = regularisation
         self.synchronous = synchronous
         self.chunk = chunk
@@ -239,17 +232,10 @@ class VSMC_ELBO(ELBO):
             return state
         if self.gradient == "transport":
             return self._transported(guide, t, state, need.unsqueeze(-1))
-        size, drawn_from = self.num_particles, state.log_weights
-        if self.gradient == "soft":
-            kept = math.log1p(-self.softness) if self.softness < 1 else -math.inf
-            drawn_from = torch.logaddexp(drawn_from + kept, torch.full_like(fixed, math.log(self.softness / size)))
-        index = ancestors_where(need, drawn_from.detach(), self.resampling)
+        index = ancestors_where(need, fixed, self.resampling)
         need = need.unsqueeze(-1)
-        weights = torch.full_like(fixed, -math.log(size))
-        if self.gradient == "soft":
-            # W/(α W + (1 − α)/N), over N: not normalised, so that p̂ stays unbiased.
-            weights = weights + (state.log_weights - drawn_from).gather(-1, index)
-        elif self.gradient != "dropped":
+        weights = torch.full_like(fixed, -math.log(self.num_particles))
+        if self.gradient != "dropped":
             chosen = state.log_weights.gather(-1, index)
             if self.gradient == "stop-gradient":
                 weights = weights + chosen - chosen.detach()
