@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from pyro.distributions import MultivariateNormal, TorchDistribution
+from pyro.distributions import TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
@@ -91,11 +91,6 @@ class GaussianChain(TorchDistribution):
         log_volume = self.root.diagonal(dim1=-2, dim2=-1).log().sum()
         constant = 0.5 * math.log(2 * math.pi) * noise.shape[-2:].numel()
         return -0.5 * noise.square().sum((-2, -1)) - log_volume - constant
-
-    def conditional(self, t: int, before: Tensor | None) -> MultivariateNormal:
-        """Distribution of x_t given x_{t−1} = ``before`` (…, D); of x_0 when t = 0."""
-        loc = self.loc[t] if t == 0 or before is None else self.loc[t] + (before - self.loc[t - 1]) @ self.gain[t].mT
-        return MultivariateNormal(loc, scale_tril=self.root[t], validate_args=False)
 
     def precision_diagonal(self) -> Tensor:
         """Diagonal (T, D) of the path's precision: 1 / Var(one entry given all the others)."""

@@ -16,9 +16,7 @@ Both start at the Gaussian smoother, and their means move in its whitened coordi
 
 (S: the smoother's sds), so that one learning rate suits angles known to a millionth and torques in N·m.
 
-A guide offers two forms of one distribution: ``guide()`` samples the whole path at one site, which fits
-:func:`.path_bound.path_model` and is fast; ``guide.sequence()`` samples sites x_0 … x_{T−1}, and fits
-``model.sequence`` under :func:`pyro.markov`.
+``guide()`` samples the whole path at one site, which fits :func:`.path_bound.path_model`.
 """
 
 from collections.abc import Sequence
@@ -83,18 +81,6 @@ class PathGuide(nn.Module):
         """Sample the site "path"."""
         return pyro.sample("path", self.distribution())
 
-    def sequence(self) -> Tensor:
-        """Sample the same path at sites x_0 … x_{T−1}; returns (T, D)."""
-        whole, path, state = self.distribution(), [], None
-        for t in pyro.markov(range(len(self.shift))):
-            state = pyro.sample(f"x_{t}", self.conditional(whole, t, state))
-            path.append(state)
-        return torch.stack(path, -2)
-
-    def conditional(self, whole: TorchDistribution, t: int, before: Tensor | None) -> TorchDistribution:
-        """Of x_t given x_{t−1}, event shape (D,); ``whole`` is :meth:`distribution`."""
-        raise NotImplementedError
-
 
 class MeanField(PathGuide):
     """Independent Gaussians, started at the best ones for the linearised model."""
@@ -107,10 +93,6 @@ class MeanField(PathGuide):
     def distribution(self) -> TorchDistribution:
         """Normal(μ, σ) over (T, D)."""
         return Normal(self.start.path(self.shift), self.first_scale * self.log_scale.exp()).to_event(2)
-
-    def conditional(self, whole: TorchDistribution, t: int, before: Tensor | None) -> TorchDistribution:
-        """Normal(μ_t, σ_t): the state before says nothing."""
-        return Normal(whole.base_dist.loc[t], whole.base_dist.scale[t]).to_event(1)
 
 
 class Markov(PathGuide):
@@ -136,7 +118,3 @@ class Markov(PathGuide):
         live = self.distribution()
         frozen = GaussianChain(live.loc.detach(), live.gain.detach(), live.root.detach())
         return pyro.sample("path", PathwiseOnly(live, frozen))
-
-    def conditional(self, whole: TorchDistribution, t: int, before: Tensor | None) -> TorchDistribution:
-        """N(μ_t + A_t (x_{t−1} − μ_{t−1}), L_t L_tᵀ)."""
-        return whole.conditional(t, before)

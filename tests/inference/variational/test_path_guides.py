@@ -38,21 +38,20 @@ def arm(steps=T):
 
 @pytest.mark.parametrize("kind", GUIDES)
 @pytest.mark.parametrize("case", [linear(gaps=True)[1:], arm()], ids=["linear", "arm"])
-def test_the_sequence_under_markov_has_the_bound_of_the_one_site_path(kind, case):
-    """The same draw from the guide gives the same log p − log q by model.sequence as by the fast path."""
+def test_the_one_site_path_has_the_bound_of_the_sequence_under_markov(kind, case):
+    """A draw from the guide has the same log p by model.sequence as by the fast path."""
     model, y = case
     guide = GUIDES[kind](gauss_newton(model, y))
     for parameter in guide.parameters():  # away from the start
         parameter.data += 0.1 * torch.randn_like(parameter)
-    drawn = poutine.trace(guide.sequence).get_trace()
-    path = drawn.nodes["_RETURN"]["value"].detach()
-    target = poutine.trace(poutine.replay(model.sequence, trace=drawn)).get_trace(y)
-    slow = target.log_prob_sum() - drawn.log_prob_sum()
+    path = guide().detach()
+    states = {f"x_{t}": state for t, state in enumerate(path)}
+    slow = poutine.trace(poutine.condition(model.sequence, data=states)).get_trace(y).log_prob_sum()
 
     q = poutine.trace(poutine.condition(guide, data={"path": path})).get_trace()
     p = poutine.trace(poutine.condition(path_model(model, y), data={"path": path})).get_trace()
     fast = p.log_prob_sum() - q.log_prob_sum()
-    assert fast.item() == pytest.approx(slow.item(), abs=1e-7)
+    assert p.log_prob_sum().item() == pytest.approx(slow.item(), abs=1e-7)
     assert fast.item() == pytest.approx(
         (model.log_joint(path, y) - guide.distribution().log_prob(path)).item(), abs=1e-7
     )
