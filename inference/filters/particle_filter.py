@@ -34,10 +34,8 @@ from pyro.poutine.util import prune_subsample_sites
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
-from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.compiled import CompiledRows
-from invdyn.inference.filters.filter_checkpoint import resumed, save
 from invdyn.inference.filters.particles import FilterResult, FilterState, History
 from invdyn.inference.filters.proposal import Particles, Proposal, PyroSteps
 from invdyn.inference.filters.weights import Row, advanced, normalised, resampled
@@ -45,9 +43,6 @@ from invdyn.models.divergence import ran_away
 
 PATIENCE = 1000
 """Rows after which a filter that must not wait for its device looks whether it is still alive."""
-
-CARRIED = ("log_weights", "log_evidence", "ancestors")
-"""What a checkpoint holds in addition to particles and history."""
 
 _TWIST = object()
 """Key next to those of Pyro's state, of which none can be the same."""
@@ -189,8 +184,6 @@ class ParticleFilter(SMCFilter):
         seed: int | None = None,
         keep: int | None = None,
         progress: Callable[[int, int], None] | None = None,
-        checkpoint: Checkpoint | None = None,
-        every: int = 1000,
         synchronous: bool | None = None,
     ) -> FilterResult:
         """Filter observations (T, O), NaN where missing.
@@ -201,30 +194,22 @@ class ParticleFilter(SMCFilter):
             keep: how many of the last rows to keep for smoothing (all by default). Memory is
                 keep × M × N × D numbers.
             progress: called with (rows done, rows in all).
-            checkpoint: where to go on from, if it holds anything, and what to write every so many rows; the answer
-                is the same to the bit, with or without an interruption.
-            every: rows between two checkpoints.
             synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs
                 it and to name a row at once where all weights are zero. By default on a CPU; elsewhere each look
                 would be a wait, and a dead filter is found up to a thousand rows later.
 
         Raises ModelError for a model that does not fit the observations (:mod:`invdyn.inference.contract`);
-        SMCFailed when all particles of some filter have weight zero; InputError for a checkpoint of another run;
-        ValueError when ``every`` is less than one.
+        SMCFailed when all particles of some filter have weight zero.
         """
-        if every < 1:
-            raise ValueError(f"expected at least one row between checkpoints, got {every}")
         observations = check_model(self.model, observations)
         with seeded(seed, observations.device):
-            return self._run(observations, keep, progress, checkpoint, every, synchronous)
+            return self._run(observations, keep, progress, synchronous)
 
     def _run(
         self,
         observations: Tensor,
         keep: int | None,
         progress: Callable[[int, int], None] | None,
-        checkpoint: Checkpoint | None,
-        every: int,
         synchronous: bool | None,
     ) -> FilterResult:
         rows, device = len(observations), observations.device
@@ -238,14 +223,10 @@ class ParticleFilter(SMCFilter):
         self._itself = self.ancestors
         history = History(rows, rows if keep is None else min(keep, rows), shape[0], device)
         particles: Particles = {}
-        run = {} if checkpoint is None else self._described(observations, history)
-        if checkpoint is not None and (kept := resumed(checkpoint, run, history, device)) is not None:
-            self.row, particles, rest = kept
-            self._log_weights, self.log_evidence, self.ancestors = (rest[name] for name in CARRIED)
         self._numbers = torch.arange(rows, device=device).unsqueeze(-1).unbind()
         seen = ~torch.isnan(observations)
         whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
-        for t, y in enumerate(observations.unbind()[self.row :], self.row):
+        for t, y in enumerate(observations.unbind()):
             row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
             particles, self._log_weights, total, self.ess = row
             self.log_evidence = self.log_evidence + total
@@ -259,9 +240,6 @@ class ParticleFilter(SMCFilter):
                 first = (t // PATIENCE) * PATIENCE
                 self._alive(history.increment[first : t + 1], first)
             particles = self._resample(particles, synchronous)
-            if checkpoint is not None and (self.row % every == 0 or self.row == rows):
-                carried = (self._log_weights, self.log_evidence, self.ancestors)
-                save(checkpoint, run, self.row, particles, history, **dict(zip(CARRIED, carried, strict=True)))
             if progress is not None:
                 progress(t + 1, rows)
         return history.result(self.log_evidence)
@@ -305,18 +283,6 @@ class ParticleFilter(SMCFilter):
                 f"row {first + row}: the observation is out of the model's reach; use a larger "
                 "noise scale, more particles or the controlled guide"
             )
-
-    def _described(self, observations: Tensor, history: History) -> dict[str, Any]:
-        """What a checkpoint must share with this run to be gone on from."""
-        return {
-            "guide": type(self.guide).__name__,
-            "filters": len(self.log_evidence),
-            "particles": self.num_particles,
-            "ess_threshold": self.ess_threshold,
-            "resampling": self.resampling,
-            "first_row_kept": history.first,
-            "observations": digest(observations),
-        }
 
     # -- weights, evidence, resampling of Pyro's way in ------------------------------------------
     def _weigh(self, increment: Tensor) -> None:

@@ -86,16 +86,6 @@ class History:
         for whole, piece in zip(self._kept, pieces, strict=True):
             whole[t - self.first] = piece
 
-    def tensors(self) -> dict[str, Tensor]:
-        """All that was noted so far, by name, for a checkpoint; :meth:`restore` takes it back."""
-        noted = {"increment": self.increment, "ess": self.ess, "resampled": self.resampled}
-        return noted | {f"kept.{i}": whole for i, whole in enumerate(self._kept)}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go on from what :meth:`tensors` gave."""
-        self.increment, self.ess, self.resampled = (tensors[name] for name in ("increment", "ess", "resampled"))
-        self._kept = [tensors[f"kept.{i}"] for i in range(len(tensors) - 3)]
-
     def result(self, log_evidence: Tensor) -> FilterResult:
         """All of it."""
         states, log_weights, ancestors, *twist = self._kept or [torch.empty(0)] * 3

@@ -1,10 +1,5 @@
-"""Long runs and other machines: no waiting for the device, checkpoints, compiled rows."""
+"""Long runs and other machines: no waiting for the device, compiled rows."""
 
-import inspect
-import os
-import signal
-import subprocess
-import sys
 import warnings
 
 import oracles
@@ -16,12 +11,10 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from invdyn.inference import Bootstrap, Controlled, ParticleFilter
-from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.filters import compiled as compiled_module
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.vsmc import GRADIENTS, VSMC_ELBO
-from invdyn.models import ArmModel, Keypoints, LinearGaussian, Link, Observation, planar_body
-from invdyn.recordings import InputError
+from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 
 STEPS = 12
 
@@ -156,101 +149,6 @@ def test_a_dead_filter_is_found_at_the_end_with_its_row(chain):
     y[5] = 1e200
     with pytest.raises(SMCFailed, match=r"2 filter.*row 5"), pyro.validation_enabled(False):
         ParticleFilter(model, Bootstrap(model), 10, num_filters=2).run(y, synchronous=False)
-
-
-# -- checkpoints ---------------------------------------------------------------------------------
-SAME = ("log_evidence", "log_evidence_increment", "ess", "resampled", "states", "log_weights", "ancestors")
-
-
-class Interrupted(Exception):
-    pass
-
-
-def stop_at(row):
-    def progress(done, rows):
-        if done == row:
-            raise Interrupted
-
-    return progress
-
-
-@pytest.mark.quick("5-*")
-@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
-@pytest.mark.parametrize("keep", [None, 4, 0])
-@pytest.mark.parametrize("stop", [2, 5, 9])
-def test_a_resumed_filter_ends_as_one_that_was_never_stopped(arm, tmp_path, guide, keep, stop):
-    pytest.importorskip("safetensors")
-    model, y = arm
-    particle_filter = ParticleFilter(model, the_guide(guide, model, y), 30, num_filters=3)
-    torch.manual_seed(4)
-    whole = particle_filter.run(y, keep=keep)
-    torch.manual_seed(4)
-    with pytest.raises(Interrupted):
-        particle_filter.run(y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3, progress=stop_at(stop))
-    if stop > 3:
-        torch.manual_seed(99)  # a new program knows nothing of the old one's random numbers
-    else:
-        torch.manual_seed(4)  # stopped before the first checkpoint: it starts again
-    resumed = ParticleFilter(model, the_guide(guide, model, y), 30, num_filters=3).run(
-        y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3
-    )
-    for name in SAME:
-        assert torch.equal(getattr(whole, name), getattr(resumed, name)), name
-    # and one that had ended gives its answer again
-    again = particle_filter.run(y, keep=keep, checkpoint=Checkpoint(tmp_path), every=3)
-    assert torch.equal(again.log_evidence, whole.log_evidence)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [({"num_particles": 31}, "particles"), ({"num_filters": 2}, "filters"), ({"resampling": "residual"}, "resampling")],
-)
-def test_another_filters_checkpoint_is_refused(chain, tmp_path, change, named):
-    pytest.importorskip("safetensors")
-    model, y = chain
-    arguments = {"num_particles": 30, "num_filters": 3}
-    ParticleFilter(model, Bootstrap(model), **arguments).run(y, checkpoint=Checkpoint(tmp_path))
-    other = ParticleFilter(model, Bootstrap(model), **{**arguments, **change})
-    with pytest.raises(InputError, match=f"other {named}; name another folder"):
-        other.run(y, checkpoint=Checkpoint(tmp_path))
-    with pytest.raises(InputError, match="other observations"):
-        ParticleFilter(model, Bootstrap(model), **arguments).run(y + 1, checkpoint=Checkpoint(tmp_path))
-
-
-def linear(killed_at=None, folder=None):
-    """A filter of 400 rows; log-evidence and states. The process kills itself after the row ``killed_at``."""
-    one = torch.eye(2, dtype=torch.float64)
-    model = LinearGaussian(0.9 * one, one, one, one, 0 * one[0], one, 400)
-    torch.manual_seed(1)
-    y = torch.randn(400, 2, dtype=torch.float64)
-    checkpoint = None if folder is None else Checkpoint(folder)
-
-    def progress(done, _):
-        if done == killed_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    particle_filter = ParticleFilter(model, Bootstrap(model), 50, num_filters=2)
-    result = particle_filter.run(y, checkpoint=checkpoint, every=20, progress=progress)
-    return result.log_evidence, result.states
-
-
-PROGRAM = """
-import os, signal, sys, torch
-from invdyn.inference import Bootstrap, ParticleFilter
-from invdyn.inference.execution.checkpoint import Checkpoint
-from invdyn.models import LinearGaussian
-"""
-
-
-@pytest.mark.long
-def test_a_killed_filter_continues_to_the_same_answer(tmp_path):
-    pytest.importorskip("safetensors")
-    program = PROGRAM + inspect.getsource(linear) + "linear(130, sys.argv[1])"
-    killed = subprocess.run([sys.executable, "-W", "ignore", "-c", program, str(tmp_path)])
-    assert killed.returncode == -signal.SIGKILL
-    assert Checkpoint(tmp_path).load()[1]["step"] == 120
-    for found, expected in zip(linear(folder=tmp_path), linear(), strict=True):
-        assert torch.equal(found, expected)
 
 
 # -- compiled --------------------------------------------------------------------------------------
