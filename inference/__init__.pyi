@@ -47,7 +47,6 @@ from .infer_states import infer_states as infer_states
 from .kinematics import infer_kinematics as infer_kinematics
 from .kinematics import learned_lengths as learned_lengths
 from .mcmc.particle_gibbs import first_paths as first_paths
-from .mcmc.particle_gibbs import particle_gibbs_sampler as particle_gibbs_sampler
 from .mcmc.particle_gibbs import run_chains as run_chains
 from .mcmc.particle_gibbs import sweep as sweep
 from .methods.differentiate import differentiate as differentiate

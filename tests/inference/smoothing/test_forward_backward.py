@@ -8,8 +8,16 @@ import pyro.distributions as dist
 import pytest
 import torch
 
-from invdyn.inference import Bootstrap, ParticleFilter, backward_mcmc, backward_simulation, forward_backward, viterbi
-from invdyn.inference.mcmc.particle_gibbs import particle_gibbs_sampler
+from invdyn.inference import (
+    Bootstrap,
+    ParticleFilter,
+    SMCOptions,
+    backward_mcmc,
+    backward_simulation,
+    forward_backward,
+    viterbi,
+)
+from invdyn.inference.mcmc.particle_gibbs import run_chains
 from invdyn.models import FiniteStateModel, StateNumber
 
 K, T = 3, 6
@@ -131,7 +139,8 @@ def test_particle_methods_agree_with_it(case, threshold):
 def test_particle_gibbs_draws_its_paths(case):
     model, y = case
     exact = forward_backward(model, y)
-    paths = particle_gibbs_sampler(model, y, num_particles=5, num_chains=1000, num_draws=1, warmup=20, seed=4)
+    options = SMCOptions(1000, 5, ess_threshold=1.0)
+    paths = run_chains(model, y, options, None, seed=4, warmup=20, sweeps=21)["paths"]
     for state in range(K):
         p = exact.smoothed[:, state]
         share = (paths == state).double().mean((0, 1, 3))
