@@ -73,7 +73,7 @@ class FromFiles(ArticulatedBody):
         try:
             own = tables | {"links": [_link(link) for link in tables["links"]]}
             exact = own.pop("exact", True)
-            body = cls(**(planar.chained(**own) if dimensions == 2 else own), exact=exact)
+            body = cls(**(planar.chained(**own) if dimensions == 2 else own) | {"exact": exact})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
         if strange := placeholder_warning(body.largest_moments()):
