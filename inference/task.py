@@ -20,7 +20,7 @@ from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.best_guide import best_guide
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free
+from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws
 from invdyn.inference.marginalise import NUM_SETS, over_bodies
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
@@ -30,6 +30,7 @@ from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
 from invdyn.models.articulated.applied_force import AppliedForce
+from invdyn.models.divergence import Diverged
 from invdyn.recordings import InputError, Recording, Truth
 
 MIXED = frozenset({"smc", "nested", "bootstrap", "laplace"})
@@ -38,6 +39,8 @@ SETS, PILOTS = 5_505_505, 5_505_506
 """Places of the random numbers of process and parameters, and of their guide's pilots (:func:`.seeds.derived`)."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
+PILOT_ROWS, PILOT_FROM = 1000, 4000
+"""Rows in the middle of a long recording on which its parameters are fitted first, and from how many rows on."""
 DROP, MIN_DROP = "emission.confidence_drop", 0.02
 """The noise's growth between the surest and the least sure rows, and the least that its fit starts from."""
 
@@ -198,9 +201,10 @@ def prepare(
     """
     options.check()
     recording = put_right(recording, body)
-    problems = [
-        arm_problem(
-            recording,
+
+    def bound(part: Recording, process: TorqueProcess | None, truth: Truth | None = None) -> Problem:
+        return arm_problem(
+            part,
             body.with_uncertainty(),
             parameters=settings,
             truth=truth,
@@ -208,11 +212,16 @@ def prepare(
             torque=process,
             **{"moving_base": True, **binding},
         )
-        for process in (torque if isinstance(torque, Sequence) else (torque,))
-    ]
+
+    processes = torque if isinstance(torque, Sequence) else (torque,)
+    problems = [bound(recording, process, truth) for process in processes]
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
-    fits, doubts_of = _fitted(problems, frees, report, kept)
+
+    def begin(number: int) -> Mapping[str, Tensor]:
+        return _of_middle(recording, partial(bound, process=processes[number]), frees[number])
+
+    fits, doubts_of = _fitted(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
     problem, free, best = problems[chosen], frees[chosen], fits[chosen]
     fitted = replace(problem, model=best.model)
@@ -243,7 +252,11 @@ def prepare(
 
 
 def _fitted(
-    problems: Sequence[Problem], frees: Sequence[list[Free]], report: Report | None, checkpoint: Checkpoint | None
+    problems: Sequence[Problem],
+    frees: Sequence[list[Free]],
+    begin: Callable[[int], Mapping[str, Tensor]],
+    report: Report | None,
+    checkpoint: Checkpoint | None,
 ) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
     """Fit of each problem, and what is in doubt of each: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
@@ -255,7 +268,8 @@ def _fitted(
     doubts: list[list[str]] = []
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         part = _share(report, number, len(problems))
-        found, doubt = fit_over_gaps(at_start(problem, free), problem.observations, free, part, problem.origin)
+        model, rows = at_start(problem, free), problem.observations
+        found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, begin(number))
         fits.append(found)
         doubts.append(doubt)
     if checkpoint is not None:
@@ -268,6 +282,26 @@ def _fitted(
         ]
         checkpoint.save(tensors, fits=numbers, doubts=doubts)
     return fits, doubts
+
+
+def _of_middle(
+    recording: Recording, bound: Callable[[Recording], Problem], free: Sequence[Free]
+) -> Mapping[str, Tensor]:
+    """Parameters fitted on the middle of a long recording, at which to begin with all of it: {} where there are none.
+
+    They save most of the search, and change what it finds by no more than its tolerance.
+    """
+    if recording.num_frames < PILOT_FROM or type(recording) is not Recording:
+        return {}
+    first = (recording.num_frames - PILOT_ROWS) // 2
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the whole recording's fit says what is to be said
+            problem = bound(recording.select(first, first + PILOT_ROWS))
+            model = fit(at_start(problem, free), problem.observations, free).model
+    except (InputError, Diverged, KeyError):
+        return {}  # the arm is not seen there, say
+    return {each.name: model.parameters[each.name] for each in free}
 
 
 def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:

@@ -12,7 +12,7 @@ Under heavy tails the least squares that stand in for rows have the right gradie
 wrong: it serves the search. What is reported of parameters comes from differences of gradients, each at its own mode.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -21,7 +21,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton, solve
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, evidence_of, gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import (
     SharedMeans,
     fit_linear,
@@ -40,6 +40,9 @@ PATIENCE = 6
 
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
+
+SETTLED = 1e-3
+"""nats that a whole Newton step would gain, by which the search ends: φ is then within 5 % of its posterior sd."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
@@ -126,6 +129,18 @@ class LogParameters(Generic[M]):
             for k in own[:size]
         ]
 
+    def of(self, values: Mapping[str, Tensor]) -> np.ndarray:
+        """φ (P,) of parameters' ``values`` by name, their mean where entries are tied; 0 where there are none."""
+        phi = np.zeros(len(self.sd))
+        for f, index in zip(self.free, self.slices, strict=True):
+            if (value := values.get(f.name)) is None:
+                continue
+            start = self.model.parameters[f.name]
+            off = (value / start).log() if f.unit is None else (value - start) / f.unit
+            own = off.flatten()[list(f.indices(start.numel()))].double()
+            phi[index] = own.mean().item() if f.tied else own.numpy()
+        return np.nan_to_num(phi, posinf=0.0, neginf=0.0)
+
     def at(self, phi: Tensor) -> M:
         """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""
         values = {}
@@ -171,6 +186,14 @@ class Objective(Generic[M]):
     def hessian(self, phi: np.ndarray) -> np.ndarray:
         """(P, P): its diagonal, and correlations of at most ``FRESH`` evaluations before."""
         return self._evaluate(phi)[2]
+
+    def settled(self, phi: np.ndarray) -> bool:
+        """Whether φ is known to be where a whole Newton step would gain next to nothing."""
+        if self._known is None or self._known[0] != phi.tobytes():
+            return False
+        _, gradient, hessian = self._known[1]
+        values, vectors = np.linalg.eigh(hessian)
+        return bool(values[0] > 0) and 0.5 * float((((gradient @ vectors) ** 2) / values).sum()) < SETTLED
 
     def curvature(self, phi: np.ndarray) -> np.ndarray:
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
@@ -251,7 +274,7 @@ class Objective(Generic[M]):
             covariance = smoother.covariance().expand(len(some), -1, -1, -1)
             moved, seen = (self._shared_means(phi, some, each) for each in slopes)
             linear = fit_linear(self.at(phi + some), self.observations, path, covariance, moved, seen)
-            found.append(solve(linear).log_evidence + linear.log_constant)
+            found.append(evidence_of(linear))
         return np.concatenate(found)
 
     def _slopes_of_means(self, phi: np.ndarray, smoother: GaussianSmoother) -> list[np.ndarray]:
@@ -286,6 +309,7 @@ def fit(
     start: Tensor | None = None,
     max_iterations: int = 40,
     progress: Callable[[int, int], None] | None = None,
+    begin: Mapping[str, Tensor] | None = None,
 ) -> Fit[M]:
     """Fit the ``free`` parameters; all but those with a unit must be positive.
 
@@ -296,6 +320,7 @@ def fit(
         start: path (T, D) to linearise at first.
         max_iterations: of the optimiser.
         progress: called with (iterations done, max_iterations).
+        begin: parameters by name at which to begin the search, where better ones than the prior's centre are known.
 
     Raises KeyError for a parameter that the model does not have, and Diverged where the start has no finite evidence.
     """
@@ -313,13 +338,15 @@ def fit(
         reached.append(intermediate_result.fun)
         if progress is not None:
             progress(min(len(reached), max_iterations), max_iterations)
+        if objective.settled(intermediate_result.x):
+            raise StopIteration
         if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
             raise StopIteration  # nothing that the data could tell, down to a tiny trust region
 
     widening = max(1.0, (len(objective.sd) / 10) ** 0.5)  # many parameters share a step
     result = minimize(
         objective.value,
-        np.zeros(len(objective.sd)),
+        objective.parameters.of(begin or {}),
         jac=objective.gradient,
         hess=objective.hessian,
         method="trust-exact",

@@ -21,7 +21,7 @@ gap or none, its turns cannot be identified. Shapes: T rows, K links, C ways, pa
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -78,15 +78,16 @@ def fit_over_gaps(
     free: Sequence[Free],
     progress: Report | None = None,
     origin: float = 0.0,
+    begin: Mapping[str, Tensor] | None = None,
 ) -> tuple[Fit[ArmModel], list[str]]:
     """The fit from the way with the most probable turns over gaps, before it and after it, and what is in doubt.
 
-    ``origin`` is the recording's time, s, at which the model's is 0.
+    ``origin`` is the recording's time, s, at which the model's is 0; ``begin`` as of :func:`fit`.
     """
     if not gaps(model, observations):
-        return fit(model, observations, free, progress=progress), []
+        return fit(model, observations, free, progress=progress, begin=begin), []
     start, _ = most_probable_turns(model, observations)
-    fitted = fit(model, observations, free, start=start, progress=progress)
+    fitted = fit(model, observations, free, start=start, progress=progress, begin=begin)
     path, doubts = most_probable_turns(fitted.model, observations, fitted.path)
     if differs_in_turns(model, path, fitted.path):
         fitted = fit(model, observations, free, start=path, progress=progress)

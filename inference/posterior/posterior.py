@@ -23,6 +23,7 @@ a few long chains, for ArviZ's figures of chains of four draws mean nothing.
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -78,15 +79,13 @@ def to_inference_data(
     Draws are equally weighted at last (:func:`equally_weighted`), by random numbers of torch's global generator.
     """
     model = problem.model.to(dtype=torch.float64)
-    paths = paths.double() if paths.is_floating_point() else paths  # a finite model numbers its states
     if result is None:
         outer = _equal_weights(len(paths), log_evidence, log_evidence_sd)
         each = torch.full((len(paths),), log_evidence, dtype=torch.float64)
     else:
         outer, each = outer_weights(result.log_evidence), result.log_evidence
 
-    contents = problem.contents(paths, model.sample_observations(paths))
-    likelihood = model.log_likelihood(paths, problem.observations.double())
+    contents, likelihood = _of_paths(replace(problem, model=model), paths)
     seen = ~torch.isnan(problem.observations).all(-1).numpy()
 
     stats: Variables = {"log_evidence": (["filter"], each), "log_weight": (["filter"], outer.log_weights)}
@@ -133,6 +132,41 @@ def to_inference_data(
     )
     weights = outer.log_weights.unsqueeze(-1).expand(paths.shape[:2]) if log_weights is None else log_weights
     return equally_weighted(idata, weights.flatten(), joined_chains(*paths.shape[:2]))
+
+
+SINGLE_FROM, AT_ONCE = 4_000_000, 2_000_000
+"""Numbers of drawn states from which a posterior is kept in single precision, and how many of those are a block."""
+
+
+def stored_dtype(*shape: int) -> torch.dtype:
+    """Precision of draws of that ``shape`` (M, R, T, D): seven digits will do where there are very many."""
+    return torch.float64 if math.prod(shape) < SINGLE_FROM else torch.float32
+
+
+def _of_paths(problem: StateSpaceProblem, paths: Tensor) -> tuple[Contents, np.ndarray]:
+    """What a posterior holds of paths (M, R, T, D), and log p(y_t | x_t) (M, R, T): all at once, or block by block."""
+    dtype = stored_dtype(*paths.shape)
+    size = max(1, len(paths) * AT_ONCE // paths.numel()) if dtype == torch.float32 else len(paths)
+    stored: dict[tuple[str, str], np.ndarray] = {}
+    for first in range(0, len(paths), size):
+        some = paths[first : first + size]
+        some = some.double() if some.is_floating_point() else some  # a finite model numbers its states
+        contents = problem.contents(some, problem.model.sample_observations(some))
+        likelihood = problem.model.log_likelihood(some, problem.observations.double())
+        if len(some) == len(paths):
+            return contents, likelihood.numpy()
+        of_draws: dict[str, Variables] = {"posterior": contents.posterior, "predictive": contents.predictive}
+        for group, variables in (of_draws | {"likelihood": {"y": (DRAWS, likelihood)}}).items():
+            for name, (_, values) in variables.items():
+                values = np.asarray(values)
+                if first == 0:
+                    stored[group, name] = np.empty((len(paths), *values.shape[1:]), np.float32)
+                stored[group, name][first : first + size] = values
+    whole = {
+        group: {name: (dims, stored[group, name]) for name, (dims, _) in variables.items()}
+        for group, variables in of_draws.items()
+    }
+    return replace(contents, **whole), stored["likelihood", "y"]
 
 
 UNITS = {
@@ -246,14 +280,19 @@ def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) 
     that weigh the same stay as they are. Then they are laid out as so many ``chains``. Random numbers are torch's own
     (global seed).
     """
-    size = [idata["posterior"].sizes[dim] for dim in DRAWS]
     same = torch.allclose(log_weights, log_weights[:1], rtol=0.0, atol=1e-9)
-    chosen = torch.arange(len(log_weights)) if same else resample(log_weights[None], "systematic")[0]
-    index = np.unravel_index(chosen.reshape(chains, -1).numpy(), size)
-    pick = {dim: xr.DataArray(each, dims=DRAWS) for dim, each in zip(DRAWS, index, strict=True)}
+    chosen = None if same else resample(log_weights[None], "systematic")[0].numpy()
+
+    def laid_out(values: xr.DataArray) -> xr.Variable:
+        values = values.transpose(*DRAWS, ...)
+        flat = values.to_numpy().reshape(-1, *values.shape[2:])  # of equal weights no copy
+        flat = flat if chosen is None else flat[chosen]
+        return xr.Variable(values.dims, flat.reshape(chains, -1, *flat.shape[1:]), values.attrs)
 
     for group in [each for each in DRAWN if each in idata.groups()]:
-        data = idata[group].isel(pick).transpose(*DRAWS, ...)
+        data = idata[group]
+        drawn = {name: laid_out(values) for name, values in data.data_vars.items() if {*DRAWS} <= {*values.dims}}
+        data = data.drop_vars([*drawn, *(dim for dim in DRAWS if dim in data.coords)]).assign(drawn)
         idata[group] = data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS})
     idata.attrs["draws"] = "equally weighted"
     return idata

@@ -40,7 +40,14 @@ from invdyn.inference.smoothing.linearisation import (
     linearise,
     log_joint,
 )
-from invdyn.inference.smoothing.square_root import BackwardFactors, apply, backward, forward_covariance, forward_mean
+from invdyn.inference.smoothing.square_root import (
+    BackwardFactors,
+    apply,
+    backward,
+    forward_covariance,
+    forward_mean,
+    log_evidence,
+)
 from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
@@ -76,6 +83,12 @@ def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.nd
     if damping is not None and scale is not None:
         linear = _damped(linear, damping, scale)
     return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
+
+
+def evidence_of(linear: Linearisation) -> np.ndarray:
+    """Log-evidence (…) of a linearised model, in half the time of :func:`solve`."""
+    chain = log_evidence(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
+    return chain + linear.log_constant
 
 
 def _damped(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> Linearisation:

@@ -9,8 +9,9 @@ with A_t = gain_t F_{t−1} and L_t L_tᵀ = root_t root_tᵀ + (gain_t error_ro
 :class:`.square_root.BackwardFactors`. Draws are exact forward samples of that chain. It whitens NUTS
 (:mod:`invdyn.inference.mcmc.nuts`) and starts the variational guides (:mod:`invdyn.inference.variational.path_guides`).
 
-All T steps of the recursion are done in log₂ T batched ones (Blelloch 1990, "Prefix sums and their
-applications": affine maps compose associatively), so that it is fast and differentiable.
+Draws without gradients take row after row, a block of paths at a time. Where gradients are needed, all T steps of the
+recursion are done in log₂ T batched ones (Blelloch 1990, "Prefix sums and their applications": affine maps compose
+associatively), so that they are fast and differentiable.
 """
 
 import math
@@ -27,6 +28,9 @@ from torch.distributions import constraints
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import forward_mean
+
+PATHS = 64
+"""Paths that are drawn at once."""
 
 
 class GaussianChain(TorchDistribution):
@@ -75,10 +79,22 @@ class GaussianChain(TorchDistribution):
         return torch.linalg.solve_triangular(self.root, innovation, upper=False).squeeze(-1)
 
     @torch.no_grad()
-    def sample(self, sample_shape: Sequence[int] = (), *, seed: int | None = None) -> Tensor:
-        """Draws (…, T, D) without gradients; by torch's global seed without one of their own."""
+    def sample(
+        self, sample_shape: Sequence[int] = (), *, seed: int | None = None, dtype: torch.dtype | None = None
+    ) -> Tensor:
+        """Draws (…, T, D) without gradients, kept as ``dtype``; by torch's global seed without one of their own."""
+        shape = self._extended_shape(torch.Size(sample_shape))
+        steps, dim = self.event_shape
+        out = torch.empty(shape.numel() // (steps * dim), steps, dim, dtype=dtype or self.loc.dtype)
+        gain, root = (each.detach().cpu() for each in (self.gain, self.root))
         with seeded(seed, self.loc.device):
-            return self.rsample(sample_shape)
+            for paths in out.split(PATHS):
+                noise = torch.randn(len(paths), steps, dim, dtype=self.loc.dtype, device=self.loc.device).cpu()
+                deviation = (root @ noise.permute(1, 2, 0)).numpy()  # (T, D, paths): one product a row
+                for before, here, own in zip(deviation, deviation[1:], gain[1:].numpy(), strict=False):
+                    here += own @ before
+                paths.copy_(self.loc.detach().cpu() + torch.as_tensor(deviation).permute(2, 0, 1))
+        return out.reshape(shape).to(self.loc.device)
 
     def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Reparametrised draws (…, T, D)."""

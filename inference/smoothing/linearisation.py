@@ -150,10 +150,7 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
     states, which lie at stops.
     """
     rows = torch.arange(path.shape[-2])
-    scale = gaussian_moments(model.initial())[1].reshape(-1, path.shape[-1], path.shape[-1])[0].norm(dim=-1)
-    central = path.shape[-1] < ONE_SIDED_FROM
-    nudges = torch.where(scale > 0, scale, 1.0)
-    nudges = NUDGE * nudges if central else ONE_SIDED_NUDGE * nudges.clamp_min(MIN_SD)
+    nudges, central = nudges_of(model)
     independent, shown = model.independent_sensor_states or ([], [])
 
     def transition(x: Tensor) -> Tensor:
@@ -161,23 +158,33 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
 
     H = path.new_zeros(*path.shape[:-1], 0, path.shape[-1])
     if by_mean:
-        H = _differences(lambda x: emission_mean(model, x, rows), path, nudges, independent, shown, central)
+        H = differences(lambda x: emission_mean(model, x, rows), path, nudges, independent, shown, central)[1]
     if model.jumping is not None:
         nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
-    return _differences(transition, path[..., :-1, :], nudges, independent, independent, central), H
+    return differences(transition, path[..., :-1, :], nudges, independent, independent, central)[1], H
 
 
-def _differences(
+def nudges_of(model: StateSpaceModel) -> tuple[Tensor, bool]:
+    """Steps (D,) of differences by the states' standard deviations at the first row, and whether they are central."""
+    root, dim = gaussian_moments(model.initial())[1], model.state_dim
+    scale = root.reshape(-1, dim, dim)[0].norm(dim=-1)
+    central = dim < ONE_SIDED_FROM
+    nudges = torch.where(scale > 0, scale, 1.0)
+    return NUDGE * nudges if central else ONE_SIDED_NUDGE * nudges.clamp_min(MIN_SD), central
+
+
+def differences(
     function: Callable[[Tensor], Tensor],
     x: Tensor,
     nudges: Tensor,
     independent: list[int],
     shown: list[int],
     central: bool,
-) -> Tensor:
-    """Jacobians (…, P, D) of a batched function (…, D) → (…, P), by ``nudges`` (D,) of one argument after the other.
+) -> tuple[Tensor, Tensor]:
+    """Values (…, P) of a batched function (…, D) → (…, P), up to ``nudges``² if central, and Jacobians (…, P, D).
 
-    The ``independent`` ones are nudged all at once: each changes an entry of its own, which ``shown`` says.
+    Jacobians are by ``nudges`` (D,) of one argument after the other. The ``independent`` ones are nudged all at once:
+    each changes an entry of its own, which ``shown`` says.
     """
     others = [k for k in range(len(nudges)) if k not in set(independent)]
     steps = torch.diag(nudges)[others]
@@ -187,14 +194,15 @@ def _differences(
         )
     steps = steps.reshape(-1, *[1] * (x.ndim - 1), x.shape[-1])
     values = function(x + torch.cat([steps, -steps if central else torch.zeros_like(steps[:1])]))
-    change = (values[: len(steps)] - values[len(steps) :]) / (1 + central)
+    up, down = values[: len(steps)], values[len(steps) :]
+    change, value = (up - down) / (1 + central), (up[0] + down[0]) / 2 if central else down[0]
     own = (change[: len(others)] / nudges[others].reshape(-1, *[1] * x.ndim)).movedim(0, -1)
     if not independent:
-        return own
+        return value, own
     slopes = own.new_zeros(*own.shape[:-1], len(nudges))
     slopes[..., others] = own
     slopes[..., shown, independent] = change[-1][..., shown] / nudges[independent]
-    return slopes
+    return value, slopes
 
 
 def linearise(

@@ -85,13 +85,13 @@ def recentred_on_mean(
 
     Raises Singular where that is not finite.
     """
-    shift = forward_mean(solve(linear), linear.m0)
+    factors = solve(linear)
+    shift = forward_mean(factors, linear.m0)
     path = path + torch.as_tensor(shift)
     if not bool(torch.isfinite(path).all()):
         raise Singular("the pass ran away")  # before a model that checks its values is evaluated there
     # Coordinates are deviations from the path that was fitted along: move them to the new one.
-    linear = _recentred(linear, shift)
-    factors = solve(linear)
+    linear, factors = _recentred(linear, shift), factors.seen_from(shift)
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)
     with torch.no_grad():
         joint = model.log_joint(path, observations)

@@ -10,7 +10,17 @@ orthogonal transformations"; Bierman (1977), ch. VI. The chain is
 L is the model's own noise; V, optional, is the error of having linearised the prediction m.
 
 Backwards in time, everything that rows t … T−1 say about x_t is one Gaussian factor
-ψ_t(x) = exp(c_t − ½|U_t x − b_t|²). One step is two QR decompositions. The first eliminates w:
+ψ_t(x) = exp(c_t − ½|U_t x − b_t|²). One step is one QR decomposition, with N Nᵀ = L Lᵀ + V Vᵀ of
+row t + 1, and U and b of that row on the left. It eliminates the noise u of x_{t+1} = F x_t + a + N u,
+and folds in the rows E_t:
+
+    [ I      0     | 0       ]        [ R   · | · ]
+    [ U N    U F   | b − U a ]  =  Q  [ 0   U | b ]      (columns: u, x_t | right-hand side)
+    [ 0      E     | e       ]        [ 0   0 | ρ ]
+
+    c_t = c_{t+1} − log |det R| − ½ ρ²
+
+What else is asked of the factors is then computed for all rows at once. The noise w given the prediction m:
 
     [ I        0        | 0 ]        [ R   B | r ]
     [ U L      U        | b ]  =  Q  [ 0   A | α ]      (columns: w, m | right-hand side)
@@ -18,11 +28,10 @@ Backwards in time, everything that rows t … T−1 say about x_t is one Gaussia
     ∫ N(x'; m, L Lᵀ) ψ(x') dx' = exp(c − ½|A m − α|²) / |det R|
     w given m  ~  N(R⁻¹(r − B m), (RᵀR)⁻¹)
 
-and the second eliminates v and folds in the rows E_t; its residual ρ is added to c:
+and the error v of the prediction given x_t:
 
     [ I      0     | 0       ]        [ S   C | s ]
-    [ A V    A F   | α − A a ]  =  Q  [ 0   U | b ]      (columns: v, x | right-hand side)
-    [ 0      E     | e       ]        [ 0   0 | ρ ]
+    [ A V    A F   | α − A a ]  =  Q  [ 0   · | · ]      (columns: v, x_t | right-hand side)
 
 Nothing is squared and nothing inverted but R and S, whose singular values are ≥ 1: L may be
 singular, observations as sharp as you like, and T as long as you like.
@@ -31,11 +40,15 @@ Shapes: numpy float64 with any leading batch (…): F (…, T−1, D, D), a (…
 V (…, T−1, D, J), E (…, T, O, D), e (…, T, O), m_0 (…, D). Coordinates may be deviations from a path.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
+
+BLOCK = 1024
+"""Rows whose transitions are prepared at once."""
 
 
 @dataclass
@@ -66,6 +79,17 @@ class BackwardFactors:
     error_root: np.ndarray
     log_evidence: np.ndarray
 
+    def seen_from(self, shift: np.ndarray) -> "BackwardFactors":
+        """The same factors in deviations from a path that is off by ``shift`` (…, T, D) from this one's."""
+        before, after = shift[..., :-1, :], shift[..., 1:, :]
+        return replace(
+            self,
+            b=self.b - apply(self.U, shift),
+            alpha=self.alpha - apply(self.A, shift),
+            offset=self.offset + apply(self.gain, shift) - shift,
+            a=self.a + apply(self.F, before) - after,
+        )
+
 
 def backward(
     F: np.ndarray,
@@ -77,86 +101,127 @@ def backward(
     V: np.ndarray | None = None,
 ) -> BackwardFactors:
     """Run the recursion from the last row to the first."""
-    batch, (steps, rows, dim) = E.shape[:-3], E.shape[-3:]
-    V = np.zeros((*batch, steps - 1, dim, 0)) if V is None else V
-    extra = V.shape[-1]
-    U, b = np.zeros((*batch, steps, dim, dim)), np.zeros((*batch, steps, dim))
-    A, alpha = np.zeros_like(U), np.zeros_like(b)
-    R, B, r = np.zeros_like(U), np.zeros_like(U), np.zeros_like(b)
-    S = np.zeros((*batch, steps - 1, extra, extra))
-    C, s = np.zeros((*batch, steps - 1, extra, dim)), np.zeros((*batch, steps - 1, extra))
-    inner, width = extra + dim, extra + dim + 1
-    fold = np.zeros((*batch, inner + max(rows, 1), width))
-    rho = np.zeros((*batch, steps))
-    for t in range(steps - 1, -1, -1):
-        fold[...] = 0.0
-        fold[..., np.arange(extra), np.arange(extra)] = 1.0
-        if t < steps - 1:
-            later = A[..., t + 1, :, :]
-            if extra:
-                fold[..., extra:inner, :extra] = later @ V[..., t, :, :]
-            fold[..., extra:inner, extra:inner] = later @ F[..., t, :, :]
-            fold[..., extra:inner, inner] = alpha[..., t + 1, :] - apply(later, a[..., t, :])
-        fold[..., inner : inner + rows, extra:inner] = E[..., t, :, :]
-        fold[..., inner : inner + rows, inner] = e[..., t, :]
-        triangle = _triangle(fold)
-        U[..., t, :, :], b[..., t, :] = (
-            triangle[..., extra:inner, extra:inner],
-            triangle[..., extra:inner, inner],
-        )
-        rho[..., t] = triangle[..., inner, inner]
-        if extra and t < steps - 1:
-            S[..., t, :, :], C[..., t, :, :] = (
-                triangle[..., :extra, :extra],
-                triangle[..., :extra, extra:inner],
-            )
-            s[..., t, :] = triangle[..., :extra, inner]
-        R[..., t, :, :], B[..., t, :, :], r[..., t, :], A[..., t, :, :], alpha[..., t, :] = eliminate(
-            U[..., t, :, :], b[..., t, :], L[..., t, :, :]
-        )
-
-    # What each row adds to the constants, summed from the last row on.
-    folded, integrated = -0.5 * rho**2, -log_abs_det(R)
-    if extra:
-        folded[..., :-1] -= log_abs_det(S)
-    log_n = np.cumsum((folded + integrated)[..., ::-1], -1)[..., ::-1].copy()  # torch takes no negative strides
-    log_c = log_n - integrated
+    U, b, log_c = _likelihoods(F, a, L, E, e, V)
+    R, B, r, A, alpha = eliminate(U, b, L)
+    log_n = log_c - log_abs_det(R)
+    evidence = log_n[..., 0] - 0.5 * ((apply(A[..., 0, :, :], m0) - alpha[..., 0, :]) ** 2).sum(-1)
     gain, offset, root = conditional(R, B, r, L)
-    scattered = np.zeros((*batch, steps - 1, dim, 0))
-    if extra:
-        scattered = V @ np.linalg.inv(S)
-        F, a = F - scattered @ C, a + apply(scattered, s)
-    misfit = apply(A[..., 0, :, :], m0) - alpha[..., 0, :]
-    log_evidence = log_n[..., 0] - 0.5 * (misfit**2).sum(-1)
-    return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, scattered, log_evidence)
+    error_root = np.zeros((*a.shape, 0))
+    if V is not None and V.shape[-1]:
+        later = A[..., 1:, :, :]
+        S, C, s = _eliminated(later @ V, later @ F, alpha[..., 1:, :] - apply(later, a))[:3]
+        error_root = V @ np.linalg.inv(S)
+        F, a = F - error_root @ C, a + apply(error_root, s)
+    return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, error_root, evidence)
+
+
+def log_evidence(
+    F: np.ndarray,
+    a: np.ndarray,
+    L: np.ndarray,
+    E: np.ndarray,
+    e: np.ndarray,
+    m0: np.ndarray,
+    V: np.ndarray | None = None,
+) -> np.ndarray:
+    """Log-evidence (…) as of :func:`backward`, which it takes half the time and little memory for."""
+    U, b, log_c = _likelihoods(F, a, L, E, e, V, keep=False)
+    R, _, _, A, alpha = eliminate(U, b, L[..., :1, :, :])
+    return (log_c - log_abs_det(R))[..., 0] - 0.5 * ((apply(A[..., 0, :, :], m0) - alpha[..., 0, :]) ** 2).sum(-1)
+
+
+def _likelihoods(
+    F: np.ndarray,
+    a: np.ndarray,
+    L: np.ndarray,
+    E: np.ndarray,
+    e: np.ndarray,
+    V: np.ndarray | None,
+    keep: bool = True,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """U, b and log_c of all rows, or of the first alone: the one part that takes rows in turn."""
+    batch, (steps, rows, dim) = E.shape[:-3], E.shape[-3:]
+    if rows > dim + 1:
+        seen = np.linalg.qr(np.concatenate([E, e[..., None]], -1), mode="r")
+        E, e, rows = seen[..., :-1], seen[..., -1], dim + 1
+    kept, inner, width = steps if keep else 1, 2 * dim, 2 * dim + 1
+    U, b = np.zeros((*batch, kept, dim, dim)), np.zeros((*batch, kept, dim))
+    diagonals = np.zeros((*batch, steps, width))
+    stacked = np.zeros((*batch, inner + max(rows, 1), width))
+    stacked[..., np.arange(dim), np.arange(dim)] = 1.0
+    onward = np.empty(0)
+    for t in range(steps - 1, -1, -1):
+        here, later = (t, t + 1) if keep else (0, 0)
+        if t < steps - 1:
+            if (place := t % BLOCK) == BLOCK - 1 or t == steps - 2:
+                block = slice(t - place, t + 1)
+                onward = _onward(
+                    F[..., block, :, :],
+                    a[..., block, :],
+                    L[..., 1:, :, :][..., block, :, :],
+                    None if V is None else V[..., block, :, :],
+                )
+            stacked[..., dim:inner, :] = U[..., later, :, :] @ onward[..., place, :, :]
+            stacked[..., dim:inner, inner] += b[..., later, :]
+        stacked[..., inner : inner + rows, dim:inner] = E[..., t, :, :]
+        stacked[..., inner : inner + rows, inner] = e[..., t, :]
+        triangle = _reduced(stacked)
+        np.multiply(triangle[..., dim:inner, dim:inner], _upper(dim), out=U[..., here, :, :])
+        b[..., here, :] = triangle[..., dim:inner, inner]
+        diagonals[..., t, :] = triangle.diagonal(0, -2, -1)
+
+    # What each row adds to the constant, summed from the last row on; the last row has no noise after it.
+    folded = -0.5 * diagonals[..., inner] ** 2
+    folded[..., :-1] -= np.log(np.abs(diagonals[..., :-1, :dim])).sum(-1)
+    log_c = np.cumsum(folded[..., ::-1], -1)[..., ::-1].copy()  # torch takes no negative strides
+    return U, b, log_c if keep else log_c[..., :1]
+
+
+def _onward(F: np.ndarray, a: np.ndarray, L: np.ndarray, V: np.ndarray | None) -> np.ndarray:
+    """N, F and −a (…, T, D, 2D + 1) of some transitions, with N Nᵀ = L Lᵀ + V Vᵀ."""
+    if V is not None and V.shape[-1]:
+        both = np.swapaxes(np.concatenate([L, V], -1), -1, -2)
+        L = np.swapaxes(np.linalg.qr(both, mode="r"), -1, -2)
+    return np.concatenate([L, F, -a[..., None]], -1)
 
 
 def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Integrate ψ(x) = exp(−½|U x − b|²) over x = m + L w: the first decomposition's R, B, r, A, α."""
-    dim = b.shape[-1]
-    stacked = np.zeros((*b.shape[:-1], 2 * dim, 2 * dim + 1))
-    stacked[..., np.arange(dim), np.arange(dim)] = 1.0
-    stacked[..., dim:, :dim] = U @ L
-    stacked[..., dim:, dim : 2 * dim] = U
-    stacked[..., dim:, 2 * dim] = b
-    triangle = _triangle(stacked)
-    top, bottom = triangle[..., :dim, :], triangle[..., dim:, dim:]
-    R, B, r = top[..., :dim], top[..., dim : 2 * dim], top[..., 2 * dim]
-    return R, B, r, bottom[..., :dim], bottom[..., dim]
+    """Integrate ψ(x) = exp(−½|U x − b|²) over x = m + L w: R, B, r, A, α of the decomposition at the top."""
+    return _eliminated(U @ L, U, b)
 
 
-def _triangle(stacked: np.ndarray) -> np.ndarray:
-    """R of the QR decomposition of (…, P, N) matrices, (…, min(P, N), N)."""
-    if stacked.ndim > 2:
-        return np.asarray(np.linalg.qr(stacked, mode="r"))
-    # One matrix at a time, what numpy does around LAPACK takes three times as long as LAPACK.
-    rows = min(stacked.shape)
-    return dgeqrf(stacked)[0][:rows] * _upper(rows, stacked.shape[1])
+def _eliminated(noise: np.ndarray, state: np.ndarray, constant: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Blocks of R of [I 0 | 0; noise state | constant]: the first rows' three, and what remains of the state."""
+    batch, (rows, size), dim = constant.shape[:-1], noise.shape[-2:], state.shape[-1]
+    count, width = math.prod(batch), size + dim
+    R, B, r = np.empty((count, size, size)), np.empty((count, size, dim)), np.empty((count, size))
+    A, alpha = np.empty((count, dim, dim)), np.empty((count, dim))
+    stacked = np.zeros((min(count, BLOCK), size + rows, width + 1))
+    stacked[:, np.arange(size), np.arange(size)] = 1.0
+    noise, state, constant = (each.reshape(count, *each.shape[len(batch) :]) for each in (noise, state, constant))
+    for first in range(0, count, BLOCK):
+        here = slice(first, min(first + BLOCK, count))
+        below = stacked[: here.stop - first, size:]
+        below[..., :size], below[..., size:width], below[..., width] = noise[here], state[here], constant[here]
+        triangle = _reduced(stacked[: here.stop - first])
+        np.multiply(triangle[:, :size, :size], _upper(size), out=R[here])
+        B[here], r[here] = triangle[:, :size, size:width], triangle[:, :size, width]
+        np.multiply(triangle[:, size:, size:width], _upper(dim), out=A[here])
+        alpha[here] = triangle[:, size:, width]
+    return tuple(each.reshape(*batch, *each.shape[1:]) for each in (R, B, r, A, alpha))
 
 
 @cache
-def _upper(rows: int, columns: int) -> np.ndarray:
-    return np.triu(np.ones((rows, columns)))
+def _upper(size: int) -> np.ndarray:
+    return np.triu(np.ones((size, size)))
+
+
+def _reduced(stacked: np.ndarray) -> np.ndarray:
+    """R of the QR decomposition of (…, P, N) matrices, P ≥ N, with leavings under its diagonal."""
+    if stacked.ndim > 2:
+        return np.swapaxes(np.linalg.qr(stacked, mode="raw")[0], -1, -2)
+    # One matrix at a time, what numpy does around LAPACK takes three times as long as LAPACK.
+    return dgeqrf(stacked)[0]
 
 
 def conditional(R: np.ndarray, B: np.ndarray, r: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:
