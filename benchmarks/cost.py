@@ -10,12 +10,15 @@ above what it was before.
     python benchmarks/cost.py                          the sweeps; a table, and docs/cost.png
     python benchmarks/cost.py --one 200 1000 64        one size: T N M, and --joints K
     python benchmarks/cost.py --one 10000 1000 64 --keep 300     and smooth the last 300 rows alone
+    python benchmarks/cost.py --long 1000 10000 100000           `invdyn infer --method laplace` of long recordings
     --threads 2                                        torch's threads
 """
 
 import argparse
 import json
+import os
 import resource
+import shlex
 import subprocess
 import sys
 import time
@@ -110,6 +113,40 @@ def measure(
     }
 
 
+def long_recordings(sizes: list[int]) -> None:
+    """`invdyn infer --method laplace` in a fresh process, on recordings of so many rows: CPU seconds and memory."""
+    folder = Path("build")
+    folder.mkdir(exist_ok=True)
+    print("| rows | CPU s | µs a row | memory MB | posterior MB | paths | log evidence a row |")
+    print("|---|---|---|---|---|---|---|")
+    for rows in sizes:
+        rec, out = folder / f"t{rows}.csv", folder / f"t{rows}.nc"
+        invdyn = [sys.executable, "-W", "ignore", "-m", "invdyn"]
+        body = ["--body", "paper_planar_arm"]
+        if not rec.exists():
+            subprocess.run([*invdyn, "simulate", *body, "--out", rec, "--duration", str((rows - 0.5) / 30)], check=True)
+        command = [*invdyn, "infer", str(rec), *body, "--method", "laplace", "--out", str(out)]
+        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            raise SystemExit(f"{shlex.join(command)} ended with {child.returncode}")
+        import arviz as az
+
+        found = az.from_netcdf(str(out), engine="h5netcdf")
+        seconds_taken, memory = (
+            used.ru_utime + used.ru_stime,
+            used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),
+        )
+        sizes_of = found["posterior"].sizes
+        print(
+            f"| {rows} | {seconds_taken:.1f} | {1e6 * seconds_taken / rows:.0f} | {memory:.0f} "
+            f"| {out.stat().st_size / 1e6:.0f} | {sizes_of['chain'] * sizes_of['draw']} "
+            f"| {found.attrs['log_evidence'] / rows:.4f} |",
+            flush=True,
+        )
+
+
 def measured(size: tuple[int, int, int, int], threads: int) -> dict[str, float]:
     """`measure` in a fresh process."""
     command = [sys.executable, "-W", "ignore", __file__, "--threads", str(threads), "--one", *map(str, size[:3])]
@@ -163,8 +200,11 @@ def main() -> None:
     parser.add_argument("--keep", type=int, help="rows to keep, the last ones, which are smoothed")
     parser.add_argument("--refits", type=int, default=0, help="of the guide; `invdyn infer` makes 2")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--long", type=int, nargs="+", metavar="T", help="rows of recordings for `laplace`")
     arguments = parser.parse_args()
-    if arguments.one:
+    if arguments.long:
+        long_recordings(arguments.long)
+    elif arguments.one:
         row = measure(*arguments.one, arguments.joints, arguments.keep, arguments.refits, arguments.threads)
         print(json.dumps({name: round(value, 3) for name, value in row.items()}, ensure_ascii=False))
         return

@@ -46,6 +46,8 @@ from .infer_engine import infer_engine as infer_engine
 from .infer_states import infer_states as infer_states
 from .kinematics import infer_kinematics as infer_kinematics
 from .kinematics import learned_lengths as learned_lengths
+from .live import LiveArm as LiveArm
+from .live import LiveRow as LiveRow
 from .mcmc.particle_gibbs import first_paths as first_paths
 from .mcmc.particle_gibbs import run_chains as run_chains
 from .mcmc.particle_gibbs import sweep as sweep
@@ -57,6 +59,9 @@ from .methods.registry import METHODS as METHODS
 from .methods.smc import smc as smc
 from .methods.svi import svi as svi
 from .methods.variational_smc import vsmc as vsmc
+from .online.change import ChangeTest as ChangeTest
+from .online.fixed_lag_smoother import Online as Online
+from .online.fixed_lag_smoother import Smoothed as Smoothed
 from .parameters.filter_bank import FilterBank as FilterBank
 from .parameters.pmmh import pmmh as pmmh
 from .parameters.posterior import ParameterPosterior as ParameterPosterior

@@ -15,6 +15,7 @@ from . import (
     camera_commands,
     excite_commands,
     film_commands,
+    live_commands,
     model_commands,
     robot_commands,
     study_commands,
@@ -382,6 +383,7 @@ def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
 for commands in (
     study_commands,
     robot_commands,
+    live_commands,
     excite_commands,
     film_commands,
     camera_commands,

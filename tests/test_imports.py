@@ -92,6 +92,7 @@ STAGES = {
     "inference": [
         "execution",
         "smoothing",
+        "online",
         "filters",
         "fitting",
         "variational",
@@ -148,7 +149,7 @@ def test_a_report_is_only_read(imports):
     ]
 
 
-GENERIC = ("execution", "smoothing", "filters", "fitting", "variational", "mcmc", "parameters")
+GENERIC = ("execution", "smoothing", "online", "filters", "fitting", "variational", "mcmc", "parameters")
 """Rooms of inference that need no more than a ``StateSpaceModel``."""
 
 

@@ -330,6 +330,14 @@ class ArmModel(StateSpaceModel):
         new = {name: value for name, value in begin.items() if name not in self.parameters}
         return self._with(observation=own, parameters={**self.parameters, **new})
 
+    def at_times(self, time: Sequence[float] | np.ndarray | Tensor) -> "ArmModel":
+        """The model on another grid of times (T,) s, without a command."""
+        return self._with(timeline=Timeline.of(time), num_steps=len(time), drive=Drive())
+
+    def commanded(self, torque: np.ndarray | Tensor) -> "ArmModel":
+        """The model under a command (T, K) N·m, constant from each row to the next."""
+        return self._with(drive=Drive.held(torque, (self.num_steps, self.body.num_joints)))
+
     def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
         """The model under a command (C, K) N·m, constant between times (C,) s of its own, finer than the rows.
 

@@ -32,7 +32,7 @@ RUN = {
     # Names of files, words for another program's command, and an error's line.
     "text": {
         ROOT / "docs" / "blind_protocol.md",
-        *(ROOT / "docs" / "how-to" / f"{n}.md" for n in ("film", "own_model", "trials")),
+        *(ROOT / "docs" / "how-to" / f"{n}.md" for n in ("film", "live", "own_model", "trials")),
     },
     "python": {*GUIDES, ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "files.md"},
     "toml": {*GUIDES, ROOT / "docs" / "files.md"},
