@@ -41,14 +41,14 @@ PATIENCE = 6
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
-SETTLED = 1e-3
-"""nats that a whole Newton step would gain, by which the search ends: φ is then within 5 % of its posterior sd."""
+SETTLED = 5e-3
+"""nats that a whole Newton step would gain, by which the search ends: φ is then within a tenth of its posterior sd."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
 
-BLOCK = 32
-"""Parameter sets that are computed at once: more are hardly quicker, and take memory."""
+BLOCK, ROWS = 32, 100_000
+"""Parameter sets that are computed at once, and their rows: more are hardly quicker, and take memory."""
 
 NOT_FINITE = (
     "the fit cannot start: expected a finite evidence with finite slopes, got none; look for places far from all "
@@ -269,7 +269,8 @@ class Objective(Generic[M]):
         """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over one posterior, ``BLOCK`` sets at once."""
         slopes = self._slopes_of_means(phi, smoother)
         found = []
-        for some in np.array_split(shifts, -(-len(shifts) // BLOCK)):
+        at_once = max(1, min(BLOCK, ROWS // len(self.observations)))
+        for some in np.array_split(shifts, -(-len(shifts) // at_once)):
             path = smoother.path.expand(len(some), *smoother.path.shape)
             covariance = smoother.covariance().expand(len(some), -1, -1, -1)
             moved, seen = (self._shared_means(phi, some, each) for each in slopes)

@@ -22,10 +22,18 @@ from invdyn.recordings.errors import about, first_line
 from invdyn.recordings.hdf5_size import check_hdf5
 
 
+COMPRESSED = 32e6
+"""Bytes up to which a posterior is compressed."""
+
+
 def save_posterior(idata: az.InferenceData, path: str | Path) -> None:
-    """Write netCDF, whole or not at all. Raises OSError when ``path`` cannot be written."""
+    """Write netCDF, whole or not at all. Raises OSError when ``path`` cannot be written.
+
+    What is large is not compressed: draws are noise in all but their first digits, and it takes longer than the draws.
+    """
+    size = sum(idata[group].nbytes for group in idata.groups())
     with atomic_path(path) as temporary:
-        idata.to_netcdf(str(temporary), engine="h5netcdf")
+        idata.to_netcdf(str(temporary), engine="h5netcdf", compress=size < COMPRESSED)
 
 
 def load_posterior(path: str | Path) -> az.InferenceData:
