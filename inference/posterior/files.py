@@ -21,7 +21,6 @@ from invdyn.recordings import InputError, atomic_path, resolved
 from invdyn.recordings.errors import about, first_line
 from invdyn.recordings.hdf5_size import check_hdf5
 
-
 COMPRESSED = 32e6
 """Bytes up to which a posterior is compressed."""
 
