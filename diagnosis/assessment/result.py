@@ -249,18 +249,18 @@ class Diagnosis:
     regime: str
     gap: Gap
     where: Where
-    causes: tuple[Cause, ...]
-    ambiguity_set: tuple[tuple[str, ...], ...]
-    separating_experiment: str | None
-    outside: Outside
-    not_identifiable: tuple[str, ...]
     shrinkage: Shrinkage
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
-    tracks: Tracks | None
-    screened: tuple[tuple[str, float], ...]
-    visibility: tuple[Visibility, ...]
-    method: dict[str, str]
+    causes: tuple[Cause, ...] = ()
+    ambiguity_set: tuple[tuple[str, ...], ...] = ()
+    separating_experiment: str | None = None
+    outside: Outside = Outside(math.nan)
+    not_identifiable: tuple[str, ...] = ()
+    tracks: Tracks | None = None
+    screened: tuple[tuple[str, float], ...] = ()
+    visibility: tuple[Visibility, ...] = ()
+    method: dict[str, str] = field(default_factory=dict)
     overlaps: tuple[tuple[str, str, float], ...] = ()
     not_enough_data: str | None = None
     not_looked_at: int = 0

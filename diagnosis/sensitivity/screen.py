@@ -4,6 +4,7 @@ Data and all candidates' columns are whitened for every size of the residual (:m
 is then a small regression (:mod:`.evidence`). A cause found with the smallest size leaves nothing to explain.
 """
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -304,7 +305,8 @@ def _as_numbers(screened: list[Screened]) -> Numbers:
             row |= {"effect": each.effect.key, "best": best | {"effect": each.best.effect.key}}
             tensors |= {f"{number}.{name}": torch.from_numpy(getattr(each.columns, name)) for name in ("g", "d")}
         rows.append(row)
-    return tensors, {"screened": _as_json(rows)}
+    # with Python's own numbers
+    return tensors, {"screened": json.loads(json.dumps(rows, default=lambda value: value.item()))}
 
 
 def _from_numbers(effects: Sequence[Effect], path: Tensor, tensors: Tensors, state: dict[str, Any]) -> list[Screened]:
@@ -320,15 +322,6 @@ def _from_numbers(effects: Sequence[Effect], path: Tensor, tensors: Tensors, sta
         columns = Columns(*(tensors[f"{number}.{name}"].numpy() for name in ("g", "d")))
         screened.append(Added(effect, best=Hypothesis(**best), columns=columns, path=path, **row))
     return screened
-
-
-def _as_json(value: Any) -> Any:
-    """With Python's own numbers."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, dict):
-        return {key: _as_json(each) for key, each in value.items()}
-    return [_as_json(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def screen_in_halves(
