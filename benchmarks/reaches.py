@@ -12,7 +12,7 @@ dynamics, and a weak spring and damper that hold the arm to the plan. A reach la
 The truth is the net torque of the arm as its file has it: what the hand picks up is a force on that arm, which begins
 at once. Markers at elbow and wrist have noise of 1 to 2 mm, at 100 frames a second; in space every fifth reach.
 
-    python benchmarks/reaches.py [--reaches 200] [--smc 40] [--torque NAME] [--results FILE]
+    python benchmarks/reaches.py [--reaches 200] [--smc 40] [--first 0] [--torque NAME] [--results FILE]
 
 Coverage is the share of true values within 90 % intervals, of rows and of functionals (:mod:`.functionals`).
 With `--results` a line a reach is kept, and the same call continues where it was stopped.
@@ -32,7 +32,7 @@ import torch
 from kept import kept
 
 from invdyn.inference import functional_table, infer, pooled
-from invdyn.models import SMOOTHNESS, TORQUE_PROCESSES, Body, Joint, Link, planar_body, write_mjcf
+from invdyn.models import TORQUE_PROCESSES, Body, Joint, Link, planar_body, write_mjcf
 from invdyn.recordings import Recording, Truth
 
 STYLES = ("smooth", "rough", "ballistic", "tremor", "load")
@@ -150,8 +150,7 @@ def reach(number: int) -> tuple[Recording, Truth, Body, str]:
 def run(number: int, method: str, torque: str) -> dict:
     """Of each joint whether its functionals lie within, the share of rows that do, error, half width; and seconds."""
     recording, truth, body, style = reach(number)
-    processes = {"default": None, "auto": [TORQUE_PROCESSES[name]() for name in SMOOTHNESS]}
-    process = processes[torque] if torque in processes else TORQUE_PROCESSES[torque]()
+    process = None if torque == "default" else TORQUE_PROCESSES[torque]()
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -195,6 +194,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--reaches", type=int, default=200, help="by laplace")
     parser.add_argument("--smc", type=int, default=40, help="how many of them by smc, too")
+    parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--torque", default="default")
     parser.add_argument("--results", type=Path)
     given = parser.parse_args()
@@ -210,7 +210,7 @@ def main() -> None:
         )
         found = [
             kept(given.results, f"{number}, {method}, {given.torque}", partial(run, number, method, given.torque))
-            for number in range(count)
+            for number in range(given.first, given.first + count)
         ]
         for style in STYLES:
             if own := [each for each in found if each["style"] == style]:

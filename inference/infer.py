@@ -55,8 +55,8 @@ def infer(
             masses, and integrates them out.
         torque: process of the torque, at its fitted parameters; or several, which are then the prior in equal parts,
             with parameters that are uncertain: draws of each are in proportion to its evidence (of methods without
-            evidence, "vsmc" and variational ones all are of the most probable process). Ornstein–Uhlenbeck's by
-            default; :func:`invdyn.models.default_torques` has several.
+            evidence, "vsmc" and variational ones all are of the most probable process). By default those of
+            :func:`invdyn.models.default_torques`.
         integrator, substeps, family: see :func:`arm_problem`.
         learn_lengths: learn the links' lengths, from the median distances on.
         truth: torques to compare with.

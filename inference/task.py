@@ -23,17 +23,18 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
 from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws
 from invdyn.inference.marginalise import NUM_SETS, over_bodies
+from invdyn.inference.methods.over_sets import BATCHED, over_sets
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess
+from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess, default_torques
 from invdyn.models.articulated.applied_force import AppliedForce
 from invdyn.models.divergence import Diverged
 from invdyn.recordings import InputError, Recording, Truth
 
-MIXED = frozenset({"smc", "nested", "bootstrap", "laplace"})
+MIXED = frozenset({"bootstrap", *BATCHED})
 """Methods that have draws of several torque processes and their parameters; others have the most probable ones."""
 SETS, PILOTS = 5_505_505, 5_505_506
 """Places of the random numbers of process and parameters, and of their guide's pilots (:func:`.seeds.derived`)."""
@@ -128,7 +129,6 @@ class Task:
         problem, record = self.problem, self.record
         if learn and self.candidates and method in MIXED and self._draws_keep_fit():
             run, sets = self._over_sets(method)
-            run = timed(partial(over_bodies, run, sets=sets))
             names = [type(each.model.torque).__name__ for each in sets]
             record = {**record, "torque_sets": {name: names.count(name) for name in dict.fromkeys(names)}}
             places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-sets")}
@@ -160,18 +160,20 @@ class Task:
         return body.is_chain or not (own and body.has_priors)
 
     def _over_sets(self, method: str) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
-        """The method as it runs on one set of process and parameters, and these sets."""
+        """The method over sets of process and parameters, and these sets."""
         with seeded(derived(self.seed, SETS)):
-            # Particle filters of few sets: each has a guide of its own.
-            most = NUM_SETS if method == "laplace" else NUM_SETS // 2
-            sets = parameter_draws(self.candidates, self.problem.observations, min(most, self.options.num_filters))
-        if method not in ("smc", "nested"):
-            return partial(_by_name, method), sets
-        # Whether the look-ahead stands, one set of pilot runs tells for all: models differ in their parameters alone.
-        model, observations = self.problem.model, self.problem.observations
-        found = best_guide(model, observations, self.options, derived(self.seed, PILOTS), self.path)
-        stands = found.name == "controlled" and found.num_particles == self.options.num_particles and not found.doubt
-        return partial(_by_name, method, guide="linearised" if stands else "controlled"), sets
+            count = min(NUM_SETS, self.options.num_filters)
+            sets = parameter_draws(self.candidates, self.problem.observations, count)
+        if method in BATCHED and not self.problem.model.nonsmooth and (method == "laplace" or self._looks_ahead()):
+            return timed(partial(over_sets, method, sets=sets)), sets
+        return timed(partial(over_bodies, partial(_by_name, method), sets=sets)), sets
+
+    def _looks_ahead(self) -> bool:
+        """Whether pilot runs bear the look-ahead out, which tells for all sets: they differ in parameters alone."""
+        found = best_guide(
+            self.problem.model, self.problem.observations, self.options, derived(self.seed, PILOTS), self.path
+        )
+        return found.name == "controlled" and found.num_particles == self.options.num_particles and not found.doubt
 
 
 def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
@@ -195,11 +197,14 @@ def prepare(
 ) -> Task:
     """Bind ``recording`` to ``body`` and fit what is not in ``settings``; of several torque processes each.
 
+    Several are a mixture, as is one in a list, and None (:func:`invdyn.models.default_torques`): see :class:`Task`.
+
     ``binding`` are further options of :func:`.initialise.arm_problem`; ``report`` is called with (done, total) of
     the fit; ``checkpoint`` is a folder that keeps it, and what methods have done. Raises InputError when the recording
     does not fit the body, for an unknown parameter, a device that is not there, or a checkpoint of another run.
     """
     options.check()
+    torque = default_torques(settings or ()) if torque is None else torque
     recording = put_right(recording, body)
 
     def bound(part: Recording, process: TorqueProcess | None, truth: Truth | None = None) -> Problem:
@@ -218,8 +223,8 @@ def prepare(
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
 
-    def begin(number: int) -> Mapping[str, Tensor]:
-        return _of_middle(recording, partial(bound, process=processes[number]), frees[number])
+    def begin() -> Mapping[str, Tensor]:
+        return _of_middle(recording, partial(bound, process=processes[0]), frees[0])
 
     fits, doubts_of = _fitted(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
@@ -247,14 +252,14 @@ def prepare(
     candidates = [
         Candidate(at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
     ]
-    mixed = tuple(candidates) if len(problems) > 1 else ()
+    mixed = tuple(candidates) if isinstance(torque, Sequence) else ()
     return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), mixed)
 
 
 def _fitted(
     problems: Sequence[Problem],
     frees: Sequence[list[Free]],
-    begin: Callable[[int], Mapping[str, Tensor]],
+    begin: Callable[[], Mapping[str, Tensor]],
     report: Report | None,
     checkpoint: Checkpoint | None,
 ) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
@@ -269,7 +274,8 @@ def _fitted(
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         part = _share(report, number, len(problems))
         model, rows = at_start(problem, free), problem.observations
-        found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, begin(number))
+        like = _like(model, problems[0].model, fits[0]) if number else {"begin": begin()}
+        found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, **like)
         fits.append(found)
         doubts.append(doubt)
     if checkpoint is not None:
@@ -302,6 +308,14 @@ def _of_middle(
     except (InputError, Diverged, KeyError):
         return {}  # the arm is not seen there, say
     return {each.name: model.parameters[each.name] for each in free}
+
+
+def _like(model: ArmModel, first: ArmModel, fit: Fit[ArmModel]) -> dict[str, Any]:
+    """What the fit of a model starts from, given that of the ``first``, which differs in its torque process alone."""
+    joints = model.body.num_joints
+    z, rest = fit.path[:, : first.torque.size(joints)], fit.path[:, first.torque.size(joints) :]
+    begin = {name: value for name, value in fit.model.parameters.items() if name in model.parameters}
+    return {"start": torch.cat([model.torque.path(z[:, :joints], model.time), rest], -1), "begin": begin}
 
 
 def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:

@@ -62,8 +62,6 @@ def infer_by_engine(
         if getattr(given, name) != usual[name].default:
             option = name.replace("_", "-")
             raise InputError(f"--{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
-    if given.torque not in TORQUE_PROCESSES:
-        raise InputError(f"--torque: expected one of {', '.join(TORQUE_PROCESSES)} for MuJoCo's engine")
     name = given.recording
     options = {key: getattr(given, key) for key in ("units", "fps", "format", "individual")}
     seen = load(name, **options)
@@ -96,7 +94,7 @@ def infer_by_engine(
         **sizes,
         seed=given.seed,
         drive=drive,
-        torque=TORQUE_PROCESSES[given.torque](),
+        torque=None if given.torque == usual["torque"].default else TORQUE_PROCESSES[given.torque](),
         family=given.family,
         truth=truth,
         progress=progress,

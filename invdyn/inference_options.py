@@ -17,8 +17,8 @@ from .settings import Setting, yes
 if TYPE_CHECKING:
     from invdyn.recordings.reading import TrackedFilm
 
-OU, AUTO = "ornstein_uhlenbeck", "auto"
-"""The torque by default, and the mixture of processes that torques may be of."""
+AUTO = "auto"
+"""The torque by default, whose process is not known."""
 LENGTHS = "lengths"
 CAMERAS = ("offset", "pose", "turn")
 """What `--learn` may name: of links, and of cameras."""
@@ -41,10 +41,10 @@ class Inference(Recorded):
     torque: Annotated[
         str,
         typer.Option(
-            help="Torque process: ornstein_uhlenbeck, random_walk, matern32, matern52, recurrent, "
-            "smooth_and_rough; or auto, a mixture of some in proportion to their evidence."
+            help="Torque process: auto, whose parameters are uncertain; or ornstein_uhlenbeck, random_walk, matern32, "
+            "matern52, recurrent, smooth_and_rough, at fitted parameters."
         ),
-    ] = OU
+    ] = AUTO
     noise: Annotated[
         str | None,
         typer.Option(
@@ -95,9 +95,9 @@ class Inference(Recorded):
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of `inference.infer` and `inference.compare`, but for what is read."""
-        from invdyn.models import TORQUE_PROCESSES, default_torques
+        from invdyn.models import TORQUE_PROCESSES
 
-        named: dict[str, Callable[[], Any]] = {**TORQUE_PROCESSES, OU: lambda: None, AUTO: default_torques}
+        named: dict[str, Callable[[], Any]] = {**TORQUE_PROCESSES, AUTO: lambda: None}
         return {
             "num_filters": self.filters,
             "num_particles": self.particles,

@@ -84,8 +84,6 @@ def how(given: Inference, method: str) -> Any:
     if given.truth is not None or given.forces is not None:
         raise InputError("--truth and --forces are of one recording: leave them out of a study")
     arguments = given.arguments
-    if isinstance(arguments["torque"], list | tuple):
-        raise InputError("--torque auto: a session shares one torque process: name it")
     sizes = SMCOptions(given.filters, given.particles, given.draws, device=given.device)
     names = ("torque", "family", "passive", "hide_torque", "learn_cameras")
     binding = {name: arguments[name] for name in names}

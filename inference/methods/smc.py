@@ -21,7 +21,6 @@ from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, run_task
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
-from invdyn.inference.smoothing.linearised import gaussian_smoother
 
 PILOTS, FILTERS, PREDICTIVE = range(3)
 """Places of the random numbers of one run (:func:`.seeds.derived`)."""
@@ -43,8 +42,7 @@ def smc(
 
     Args:
         problem: model and observations.
-        guide: "controlled", which :func:`.best_guide` may overrule, "linearised", the controlled one of the linearised
-            model without pilot runs, where those of a similar model have found it good, or "bootstrap".
+        guide: "controlled", which :func:`.best_guide` may overrule, or "bootstrap".
         options: sizes.
         start: path (T, D) to linearise at first.
         seed: of every random number; same seed, same result.
@@ -61,9 +59,7 @@ def smc(
     method = guide if guide == "bootstrap" else "smc"
     checkpoint = inside(checkpoint, method)
     chosen = Guide("bootstrap", None, options.num_particles)
-    if guide == "linearised":
-        chosen = Guide("controlled", gaussian_smoother(model, observations, start), options.num_particles)
-    elif guide == "controlled":
+    if guide == "controlled":
         chosen = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
     options, smoother = replace(options, num_particles=chosen.num_particles), chosen.smoother
     sizes = options.tasks()

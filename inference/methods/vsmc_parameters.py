@@ -7,7 +7,6 @@ Shapes: P free parameters, M filters.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import arviz as az
 import torch
@@ -25,7 +24,7 @@ from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fi
 from invdyn.inference.methods.vsmc_learner import Learner
 from invdyn.inference.posterior.posterior import combine, to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.parameter_guide import Following, Uncertain
@@ -102,7 +101,7 @@ class OverParameters(Learner):
         guides = []
         for m, one in enumerate(phi):
             model = self.target.log_parameters.at(one)
-            smoother = _of_set(smoothers, m) if found[m] else self.smoother
+            smoother = smoothers.of_set(m) if found[m] else self.smoother
             guides.append(Corrected(model, self.rows, smoother, name=self.guide.name).sampled(model))
         model = self.target.log_parameters.at(phi)
         return self._filters(model, Corrected.stacked(guides, model), len(phi), report)
@@ -126,15 +125,3 @@ class OverParameters(Learner):
         return to_inference_data(
             problem, paths[m : m + 1], own, method="vsmc", seed=seed, settings=settings, parameters=values
         )
-
-
-def _of_set(smoothers: GaussianSmoother, m: int) -> GaussianSmoother:
-    """Set m of a batch of smoothers."""
-
-    def pick(value: Any) -> Any:
-        if dataclasses.is_dataclass(value):
-            kind: Any = type(value)
-            return kind(**{f.name: pick(getattr(value, f.name)) for f in dataclasses.fields(value)})
-        return None if value is None else value[m]
-
-    return pick(smoothers)

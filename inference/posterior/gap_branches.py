@@ -79,14 +79,17 @@ def fit_over_gaps(
     progress: Report | None = None,
     origin: float = 0.0,
     begin: Mapping[str, Tensor] | None = None,
+    start: Tensor | None = None,
 ) -> tuple[Fit[ArmModel], list[str]]:
     """The fit from the way with the most probable turns over gaps, before it and after it, and what is in doubt.
 
-    ``origin`` is the recording's time, s, at which the model's is 0; ``begin`` as of :func:`fit`.
+    ``origin`` is the recording's time, s, at which the model's is 0; ``begin`` as of :func:`fit`; a path to ``start``
+    from has such turns, as that of a similar model.
     """
     if not gaps(model, observations):
-        return fit(model, observations, free, progress=progress, begin=begin), []
-    start, _ = most_probable_turns(model, observations)
+        return fit(model, observations, free, start=start, progress=progress, begin=begin), []
+    if start is None:
+        start, _ = most_probable_turns(model, observations)
     fitted = fit(model, observations, free, start=start, progress=progress, begin=begin)
     path, doubts = most_probable_turns(fitted.model, observations, fitted.path)
     if differs_in_turns(model, path, fitted.path):

@@ -35,7 +35,7 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
     if (keypoints := observation.keypoints) is not None:
         own = keypoints.tracked(jacobian.flatten(-2)).unflatten(-1, (-1, K)).flatten(-3, -2)
         own = torch.where(torch.isfinite(rows[:, observation.part(keypoints)]).unsqueeze(-1), own, 0.0)
-        scale = model.parameters["emission.keypoint_scale"].repeat_interleave(model.body.dimensions, -1)
+        scale = _first(model.parameters["emission.keypoint_scale"]).repeat_interleave(model.body.dimensions, -1)
         slopes.append(own)
         sharp.append(own / scale.unsqueeze(-1))
     if (pixels := observation.pixels) is not None:
@@ -46,19 +46,24 @@ def visibility(model: Any, observations: Tensor, angle: Tensor) -> tuple[np.ndar
         # Twice in reverse: where shapes broadcast, forward mode would import torch's compiler first, for a second.
         shown = [jvp(pixels.about, points, along)[1] for along in jacobian.unbind(-1)]
         own = torch.where(seen.flatten(1).unsqueeze(-1), torch.stack(shown, -1), 0.0)
-        scale = model.parameters["emission.pixel_scale"]
+        scale = _first(model.parameters["emission.pixel_scale"], 2)
         if pixels.lasting:
-            scale = scale.hypot(model.parameters["emission.bias_scale"])
+            scale = scale.hypot(_first(model.parameters["emission.bias_scale"], 2))
         sharp.append(own / scale.repeat_interleave(2, -1).flatten().unsqueeze(-1))
     if (encoders := observation.encoders) is not None:
         read = torch.isfinite(rows[:, observation.part(encoders)]).to(angle)
-        sharp.append(torch.diag_embed(read / model.parameters["emission.angle_scale"]))
+        sharp.append(torch.diag_embed(read / _first(model.parameters["emission.angle_scale"])))
     smallest = np.linalg.svd(torch.cat(slopes, -2).numpy(), compute_uv=False) if slopes else np.zeros((len(rows), K))
     smallest = smallest[:, -1] if smallest.shape[-1] == K else np.zeros(len(rows))
     _, w, v = np.linalg.svd(torch.cat(sharp, -2).numpy()) if sharp else (0, np.zeros((len(rows), 0)), np.eye(K)[None])
     w = np.concatenate([w, np.zeros((len(rows), K - w.shape[1]))], -1)
     share = ((w < 1 / UNSEEN_SD)[..., None] * v**2).sum(-2)
     return smallest, share > 0.5  # more of a coordinate lies in unseen directions than in others
+
+
+def _first(values: Tensor, axes: int = 1) -> Tensor:
+    """A parameter of so many ``axes``, of many sets (..., own shape) that of the first."""
+    return values.reshape(-1, *values.shape[-axes:])[0]
 
 
 def unseen_lines(unseen: np.ndarray, names: tuple[str, ...]) -> list[str]:

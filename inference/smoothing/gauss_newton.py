@@ -24,7 +24,8 @@ Shapes: observations (T, O), path (…, T, D); the leading dimensions are many p
 one model, each with its own path and damping. All in float64.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -76,6 +77,17 @@ class GaussianSmoother:
     def covariance(self) -> Tensor:
         """Marginal posterior covariances (…, T, D, D)."""
         return torch.as_tensor(forward_covariance(self.factors))
+
+    def of_set(self, k: int) -> "GaussianSmoother":
+        """That of set k among many."""
+
+        def pick(value: Any) -> Any:
+            if is_dataclass(value):
+                kind: Any = type(value)
+                return kind(**{field.name: pick(getattr(value, field.name)) for field in fields(value)})
+            return None if value is None else value[k]
+
+        return pick(self)
 
 
 def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None) -> BackwardFactors:

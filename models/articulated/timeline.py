@@ -5,6 +5,7 @@ Shapes: T rows; of a row's clocks (..., 1), which broadcast with joint quantitie
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -13,6 +14,8 @@ from torch import Tensor
 
 Row = int | Tensor
 """Number of a row, or of many."""
+SAME = 1e-6
+"""Of a step by which others may differ and count as equal to it: less than clocks are exact to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +47,17 @@ class Timeline:
         intervals, elapsed = grid.diff(), grid - grid[0]
         return cls(grid, torch.cat([intervals.median().reshape(1), intervals]), elapsed, elapsed)
 
+    @cached_property
+    def regular(self) -> bool:
+        """Whether all steps are equal."""
+        return bool(((self.dt - self.dt[0]).abs() <= SAME * self.dt[0]).all())
+
     def to(self, device: torch.device) -> "Timeline":
         """The same on ``device``; itself where it is there."""
         if self.time.device == device:
             return self
-        return replace(self, **{name: each.to(device) for name, each in vars(self).items() if each is not None})
+        clocks = {name: each.to(device) for name, each in vars(self).items() if isinstance(each, Tensor)}
+        return replace(self, **clocks)
 
     def known_from(self, begin: Tensor) -> Self:
         """The grid where commands are known from the time ``begin``, s."""

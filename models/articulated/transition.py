@@ -53,7 +53,7 @@ class Transition:
     def following(self, state: Tensor, t: Row) -> Distribution:
         """x_t given x_{t−1} = ``state``; event shape (D,)."""
         p = self.mechanics.parameters
-        root = self.torque.noise(self._lasts(t), p)
+        root = self._torque_noise(t)
         if (late := self.late(t)) is not None:
             root = torch.hypot(root, late)
         memory = self.observation.transition_sd(self._lasts(t), p) if self.layout.memory else []
@@ -70,7 +70,7 @@ class Transition:
         """E[x_t | x_{t−1} = state]."""
         unseen, q, qd = self.layout.split(by_column(state))
         z, hidden, memory = self.layout.parted(unseen)
-        z_next = self.torque.mean(z, self._lasts(t), self.mechanics.parameters)
+        z_next = self.torque.mean(z, self._torque_lasts(t), self.mechanics.parameters)
         *bent, q_next, qd_next = self.mechanics.step(self._driven(z, z_next, t), hidden, q, qd)
         if self.layout.memory:
             bent += self.observation.next_mean(memory, self._lasts(t), self.mechanics.parameters)
@@ -112,6 +112,25 @@ class Transition:
         """What a row's interval really takes, s, (..., 1)."""
         dt, effects = self.timeline.interval(t, self.motors.dtype), self.mechanics.effects
         return effects.interval(self.mechanics.parameters, dt) if effects else dt
+
+    @property
+    def _of_rows(self) -> bool:
+        """Whether the torque's matrices are computed row by row: they are cheap, or rows differ in length."""
+        return self.torque.diagonal or not self.timeline.regular
+
+    def _torque_lasts(self, t: Row) -> Tensor:
+        """The same for the torque's matrices, (..., 1): of one row for all, where they are alike."""
+        return self._lasts(t if self._of_rows else 0)
+
+    def _torque_noise(self, t: Row) -> Tensor:
+        """Root of the torque's noise over a row; kept where it is that of all rows, and no parameter learns by it."""
+        p = self.mechanics.parameters
+        found = self.__dict__.get("kept_noise")
+        if found is None:
+            found = self.torque.noise(self._torque_lasts(t), p)
+            if not self._of_rows and not any(value.requires_grad for value in p.values()):
+                self.__dict__["kept_noise"] = found
+        return found
 
     def _with_hidden(self, name: str, memory: Sequence[Tensor], angle: Tensor, velocity: Tensor) -> Tensor:
         own = (self.mechanics.parameters[f"{name}.{each.key}"] for each in self.mechanics.effects.hidden)

@@ -17,18 +17,20 @@ TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "smooth_and_rough": SmoothAndRough,
 }
 
-SMOOTHNESS = ("ornstein_uhlenbeck", "matern32", "smooth_and_rough")
-"""A rough torque, one with a rate, and the sum of a smooth and a small rough one: the prior is their mixture.
+SMOOTHNESS = ("matern32", "smooth_and_rough")
+"""A torque with a rate, and the sum of a smooth and a small rough one: the prior is their mixture.
 
-Matérn-5/2 by itself is left out: evidence prefers it, as small disturbances hardly change it, but its bands do not
-cover them.
+The Ornstein–Uhlenbeck process, which the second one contains, is left out: draws of it jitter by as much as the whole
+torque moves. So is Matérn-5/2 by itself: evidence prefers it, as small disturbances hardly change it, but its bands do
+not cover them.
 """
 
 
-def default_torques(given: Iterable[str] = ()) -> list[TorqueProcess]:
+def default_torques(given: Iterable[str] = ()) -> TorqueProcess | list[TorqueProcess]:
     """What a torque may be, where nobody says; the Ornstein–Uhlenbeck process where parameters of it are ``given``."""
-    known = any(name.startswith("torque.") for name in given)
-    return [TORQUE_PROCESSES[name]() for name in (SMOOTHNESS[:1] if known else SMOOTHNESS)]
+    if any(name.startswith("torque.") for name in given):
+        return OrnsteinUhlenbeck()
+    return [TORQUE_PROCESSES[name]() for name in SMOOTHNESS]
 
 
 __all__ = [

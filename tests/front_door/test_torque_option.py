@@ -1,4 +1,4 @@
-"""`--torque`: a process by name, or the most probable."""
+"""`--torque`: a process by name, or by default a mixture of some."""
 
 import json
 
@@ -12,11 +12,11 @@ SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
 @pytest.mark.long
 def test_the_most_probable_is_taken_and_named(folder, run):
     run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40", "--encoders", "1e-4")
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "auto", *SMALL)
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", *SMALL)
     assert outcome.exit_code == 0, outcome.output
     settings = json.loads(load_posterior("p.nc").attrs["settings"])
     evidence = settings["torque_evidence"]
-    assert set(evidence) == {"OrnsteinUhlenbeck", "Matern32", "SmoothAndRough"}
+    assert set(evidence) == {"Matern32", "SmoothAndRough"}
     best = settings["torque_process"]
     assert evidence[best] == max(evidence.values())
     (line,) = (line for line in outcome.stdout.splitlines() if line.startswith("torque process"))

@@ -154,4 +154,15 @@ def test_of_settings_of_a_torque_the_process_follows():
     assert [type(each).__name__ for each in default_torques()] == [
         TORQUE_PROCESSES[name].__name__ for name in SMOOTHNESS
     ]
-    assert [type(each) for each in default_torques(["emission.keypoint_scale", "torque.decay"])] == [OrnsteinUhlenbeck]
+    assert type(default_torques(["emission.keypoint_scale", "torque.decay"])) is OrnsteinUhlenbeck
+
+
+def test_by_default_the_torque_is_the_mixture(smooth):
+    few = replace(smooth, time=TIME[:40], angles=smooth.angles[:40], keypoints=smooth.keypoints[:40])
+    sizes = {"num_filters": 8, "num_draws": 2, "method": "laplace", "settings": KNOWN, "seed": 2}
+    default, named = infer(few, ARM, **sizes), infer(few, ARM, torque=default_torques(), **sizes)
+    np.testing.assert_array_equal(default["posterior"]["torque"], named["posterior"]["torque"])
+    assert sum(json.loads(default.attrs["settings"])["torque_sets"].values()) == 8
+    stated = infer(few, ARM, **{**sizes, "settings": {**KNOWN, "torque.scale": 2.0}})
+    assert json.loads(stated.attrs["settings"])["torque_process"] == "OrnsteinUhlenbeck"
+    assert "torque_sets" not in json.loads(stated.attrs["settings"])

@@ -7,7 +7,18 @@ import pytest
 import torch
 from scipy.special import gamma, kv
 
-from invdyn.models import TORQUE_PROCESSES, Matern32, Matern52, OrnsteinUhlenbeck, RandomWalk, Recurrent, SmoothAndRough
+from invdyn.models import (
+    TORQUE_PROCESSES,
+    ArmModel,
+    Link,
+    Matern32,
+    Matern52,
+    OrnsteinUhlenbeck,
+    RandomWalk,
+    Recurrent,
+    SmoothAndRough,
+    planar_body,
+)
 
 F64 = torch.float64
 SCALE = torch.tensor([3.0, 0.4], dtype=F64)
@@ -273,3 +284,35 @@ def test_the_path_through_torques_begins_with_them(name):
         assert path[1:-1, 2:4].numpy() == pytest.approx(
             torch.stack([2 * time, 3 + 0 * time], -1)[1:-1].numpy(), abs=1e-9
         )
+
+
+@pytest.mark.parametrize("name", ["matern32", "smooth_and_rough", "ornstein_uhlenbeck"])
+def test_rows_of_one_length_share_their_matrices(name):
+    """As where each row's are computed, for clocks that are equal but for rounding, and for many parameter sets."""
+    body = planar_body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
+    even = 0.1 * np.arange(9)
+    found = []
+    for time in (even, even + 1e-7 * np.arange(9) ** 2):  # clocks that drift by .1 µs are of one length, by 2 µs not
+        model = ArmModel(body, time, torque=TORQUE_PROCESSES[name]())
+        many = model.replace(**{"torque.scale": torch.tensor([[[1.0]], [[3.0]]], dtype=F64)})
+        state = torch.linspace(-1, 1, 8 * model.state_dim, dtype=F64).reshape(8, -1)
+        for each in (model, many):
+            law = each.transition(state, torch.arange(1, 9))
+            row = each.transition(state[2], 3)
+            assert law.mean.shape == (*each.parameters["torque.scale"].shape[:-2], 8, model.state_dim)
+            torch.testing.assert_close(law.mean[..., 2, :], row.mean.squeeze(-2) if each is many else row.mean)
+            found.append((law.mean, law.variance.expand(law.mean.shape)))
+    for one, other in zip(found[:2], found[2:], strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+
+
+def test_a_shared_matrix_has_a_gradient_where_its_parameters_have():
+    body = planar_body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
+    scale = torch.tensor([2.0], dtype=F64, requires_grad=True)
+    model = ArmModel(body, 0.1 * np.arange(4), torque=Matern32()).replace(**{"torque.scale": scale})
+    state = torch.zeros(model.state_dim, dtype=F64)
+    with torch.no_grad():
+        model.transition(state, 1)
+    for row in (1, 2):
+        (slope,) = torch.autograd.grad(model.transition(state, row).variance[0], scale)
+        assert slope.item() > 0

@@ -1,0 +1,231 @@
+"""Parameter sets of one model, all in one batch: each filter, or Gaussian smoother, has a set of its own.
+
+The sets (:mod:`.fitting.parameter_draws`) differ in their parameters alone, and so do their Gaussian smoothers and the
+guides made of these (:class:`.affine.Corrected`, without a correction). A batch of filters with a set each takes hardly
+longer than one with the same for all: what a row costs is its number of operations. By "laplace" draws of a set are of
+its smoother; by "smc" or "nested" they are ancestral lines, which meet seldom under a guide that looks ahead.
+
+A set whose smoother has no finite evidence, and models with kinks, go one by one (:func:`.marginalise.over_bodies`).
+
+Shapes: S sets, M filters in all, R draws of each, observations (T, O), paths (M, R, T, D).
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from itertools import groupby
+from typing import Any
+
+import arviz as az
+import torch
+from torch import Tensor
+
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.distribute import distribute
+from invdyn.inference.execution.progress import Progress, stage
+from invdyn.inference.execution.seeds import derived, seeded
+from invdyn.inference.filters.backward_simulation import genealogy
+from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
+from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import evidence
+from invdyn.inference.fitting.parameter_draws import ROWS_AT_ONCE, ParameterSet
+from invdyn.inference.marginalise import body_draws
+from invdyn.inference.posterior.files import packed, unpacked
+from invdyn.inference.posterior.initialise import Problem
+from invdyn.inference.posterior.posterior import combine, to_inference_data
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
+from invdyn.inference.smoothing.gaussian_chain import GaussianChain
+from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.inference.variational.affine import Corrected
+from invdyn.models import ArmModel
+
+BATCHED = frozenset({"laplace", "smc", "nested"})
+"""Methods that take sets in a batch."""
+
+
+def over_sets(
+    method: str,
+    problem: Problem,
+    sets: Sequence[ParameterSet],
+    *,
+    options: SMCOptions,
+    seed: int = 0,
+    start: Tensor | None = None,
+    settings: dict | None = None,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> az.InferenceData:
+    """The posterior over ``sets`` of one or more models by a ``method`` of :data:`BATCHED`; a body is drawn for each.
+
+    Arguments and result as those of :func:`.marginalise.over_bodies`; ``start`` does not count. A task has sets of
+    one model, with as many filters as a task may have.
+    """
+    counts = [len(part) for part in torch.arange(options.num_filters).tensor_split(len(sets))]
+    bodies = body_draws([replace(problem, model=each.model) for each in sets], seed)
+    most = max(1, min(options.at_once // max(counts), ROWS_AT_ONCE // len(problem.observations)))
+    tasks = []
+    for _, own in groupby(range(len(sets)), key=lambda k: sets[k].candidate):
+        numbers = list(own)
+        tasks += [numbers[first : first + most] for first in range(0, len(numbers), most)]
+    found: list[Any] = distribute(
+        run_sets if checkpoint is None else run_sets_to_keep,
+        [
+            (
+                method,
+                [bodies[k] for k in numbers],
+                torch.stack([sets[k].path for k in numbers]),
+                [counts[k] for k in numbers],
+                [sets[k].offset for k in numbers],
+                options,
+                derived(seed, numbers[0]),
+                settings,
+            )
+            for numbers in tasks
+        ],
+        [f"parameter sets {numbers[0] + 1} to {numbers[-1] + 1} of {len(sets)}" for numbers in tasks],
+        executor=executor,
+        checkpoint=checkpoint,
+        progress=stage(progress, "parameter sets"),
+    )
+    return combine([part for each in found for part in _parts(each)], seed=seed)
+
+
+def run_sets(
+    method: str,
+    problems: Sequence[Problem],
+    starts: Tensor,
+    counts: Sequence[int],
+    offsets: Sequence[float],
+    options: SMCOptions,
+    seed: int,
+    settings: dict | None,
+    progress: Any = None,
+) -> Any:
+    """Posterior of the problems (S,), with ``counts`` filters each, from ``starts`` (S, T, D): what one worker does.
+
+    One InferenceData where their bodies are one, else one each; evidences have their set's ``offsets`` in them.
+    """
+    rows = problems[0].observations.detach().cpu().double()
+    many = stacked([each.model.to(dtype=torch.float64, device="cpu") for each in problems])
+    smoothers = posterior_linearisation(many, rows, gauss_newton(many, rows, start=starts), 1)
+    owners = [k for k, count in enumerate(counts) for _ in range(count)]
+    with seeded(seed, options.device):
+        drawn = _gaussian if method == "laplace" else _filtered
+        paths, evidences, result = drawn(problems, smoothers, owners, options)
+        evidences = evidences + torch.tensor(offsets).double()[owners]
+        numbers = torch.tensor(owners)
+        whole = [numbers >= 0] if _of_one_body(problems) else [numbers == k for k in range(len(problems))]
+        found = []
+        for own in whole:
+            model = stacked([problems[k].model for k in numbers[own]], axes=2)
+            one = replace(problems[int(numbers[own][0])], model=model)
+            part = None if result is None else _of_filters(result, own, evidences)
+            found.append(_contents(method, one, paths[own], evidences[own], part, options, seed, settings or {}))
+    if progress is not None:
+        progress(1, 1)
+    return found
+
+
+def run_sets_to_keep(*arguments: Any, progress: Any = None) -> dict[str, Tensor]:
+    """The same as tensors, for a checkpoint."""
+    found = run_sets(*arguments, progress=progress)
+    return {f"{k}.{name}": value for k, each in enumerate(found) for name, value in packed(each).items()}
+
+
+def _parts(found: Any) -> list[az.InferenceData]:
+    """What :func:`run_sets` gave, or was kept of it."""
+    if isinstance(found, list):
+        return found
+    numbers = sorted({int(name.partition(".")[0]) for name in found})
+    own = [{n.removeprefix(f"{k}."): v for n, v in found.items() if n.startswith(f"{k}.")} for k in numbers]
+    return [unpacked(each) for each in own]
+
+
+def stacked(models: Sequence[ArmModel], axes: int = 1) -> ArmModel:
+    """One model with the parameters of all: those that differ have shape (S, 1, own shape), or more ``axes`` of 1."""
+    values = {name: [each.parameters[name] for each in models] for name in models[0].parameters}
+    differing = {name: own for name, own in values.items() if any(not torch.equal(own[0], each) for each in own)}
+    # One parameter has to say how many there are.
+    differing = differing or {"noise.angle": values["noise.angle"]}
+    shape = (len(models), *[1] * axes)
+    return models[0].replace(
+        **{name: torch.stack(own).reshape(*shape, *own[0].shape) for name, own in differing.items()}
+    )
+
+
+def _of_one_body(problems: Sequence[Problem]) -> bool:
+    """Whether all have the same body, whose numbers are constants of a posterior."""
+    first, *others = (
+        {name: value for name, value in each.model.parameters.items() if name.startswith("body.")} for each in problems
+    )
+    return all(torch.equal(value, each[name]) for each in others for name, value in first.items())
+
+
+def _gaussian(
+    problems: Sequence[Problem], smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions
+) -> tuple[Tensor, Tensor, None]:
+    """Draws of each set's smoother, and its evidence."""
+    chains = [GaussianChain.of(smoothers.of_set(k)) for k in range(len(problems))]
+    paths = [chain.sample((owners.count(k), options.num_draws)) for k, chain in enumerate(chains)]
+    return torch.cat(paths), smoothers.log_evidence[owners], None
+
+
+def _filtered(
+    problems: Sequence[Problem], smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions
+) -> tuple[Tensor, Tensor, FilterResult]:
+    """Ancestral lines of filters, each with the set and the guide of its own."""
+    observations = problems[0].observations
+    dtype = options.dtype or sufficient_dtype(smoothers)
+    models = [in_type(each.model, observations, options, dtype) for each in problems]
+    rows = observations.to(dtype=models[0].dtype, device=options.device)
+    guides = [Corrected(model, rows, smoothers.of_set(k)) for k, model in enumerate(models)]
+    model = stacked([models[k] for k in owners])
+    filters = ParticleFilter(
+        model,
+        Corrected.stacked([guides[k] for k in owners], model),
+        options.num_particles,
+        num_filters=len(owners),
+        ess_threshold=options.ess_threshold,
+        resampling=options.resampling,
+    )
+    result = filters.run(rows).cpu()
+    return genealogy(result, options.num_draws), result.log_evidence, result
+
+
+def _of_filters(result: FilterResult, own: Tensor, evidences: Tensor) -> FilterResult:
+    """Those of a run's filters that are ``own`` (M,), with other ``evidences`` (M,)."""
+    return replace(
+        result,
+        log_evidence=evidences[own],
+        log_evidence_increment=result.log_evidence_increment[:, own],
+        ess=result.ess[:, own],
+        resampled=result.resampled[:, own],
+    )
+
+
+def _contents(
+    method: str,
+    problem: Problem,
+    paths: Tensor,
+    evidences: Tensor,
+    result: FilterResult | None,
+    options: SMCOptions,
+    seed: int,
+    settings: dict,
+) -> az.InferenceData:
+    """InferenceData of paths (M, R, T, D) of filters or smoothers with ``evidences`` (M,)."""
+    if result is None:
+        known = {"log_evidence": float(evidences.mean()), "settings": settings}
+        found = to_inference_data(problem, paths, method=method, seed=seed, **known)
+        found["sample_stats"]["log_evidence"].values[:] = evidences
+        return found
+    judged = evidence(evidences, "controlled")
+    diagnostics = {"usable": int(judged.usable), "doubt": judged.reason, "contradicted": "", "guide_reason": ""}
+    diagnostics |= {"guide": "controlled"}
+    settings = {**settings, "num_filters": options.num_filters, "num_particles": options.num_particles}
+    settings |= {"filters_per_task": len(paths), "resampling": options.resampling}
+    return to_inference_data(
+        problem, paths, result, method=method, seed=seed, diagnostics=diagnostics, settings=settings
+    )

@@ -1,0 +1,111 @@
+"""Sets of parameters in one batch: as each of them by itself, by smoothers and by filters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from invdyn.inference import SMCOptions, pooled
+from invdyn.inference.fitting.parameter_draws import ParameterSet
+from invdyn.inference.methods.over_sets import over_sets, run_sets, stacked
+from invdyn.inference.posterior.initialise import arm_problem
+from invdyn.inference.smoothing.linearised import gaussian_smoother
+from invdyn.models import Link, Matern32, planar_body
+from invdyn.recordings import Recording
+
+ROWS = 40
+SCALES = (1.0, 2.0, 4.0)
+
+
+@pytest.fixture(scope="module")
+def sets():
+    """A swinging rod, and three sets of its torque's parameters."""
+    body = planar_body("rod", [Link("rod", "hinge", "tip", length=0.5, mass=1.0)])
+    time = 0.02 * np.arange(ROWS)
+    angle = 0.8 * np.sin(4 * time)
+    points = 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)[:, None]
+    points += 0.002 * np.random.default_rng(0).standard_normal(points.shape)
+    known = {"emission.keypoint_scale": 0.002}
+    problem = arm_problem(Recording(time, points, ("tip",)), body, torque=Matern32(), parameters=known, substeps=1)
+    models = [problem.model.replace(**{"torque.scale": torch.tensor([scale], dtype=torch.float64)}) for scale in SCALES]
+    found = [gaussian_smoother(model, problem.observations) for model in models]
+    return problem, [
+        ParameterSet(0, m, each.path, -each.log_evidence.item()) for m, each in zip(models, found, strict=True)
+    ]
+
+
+def test_a_batch_has_each_sets_smoother(sets):
+    problem, own = sets
+    problems = [replace(problem, model=each.model) for each in own]
+    parts = run_sets(
+        "laplace",
+        problems,
+        torch.stack([each.path for each in own]),
+        [2] * 3,
+        [0.0] * 3,
+        SMCOptions(6, 10, 100),
+        0,
+        None,
+    )
+    (whole,) = parts
+    drawn_of = whole["posterior"]["torque"].transpose("chain", "draw", ...).values[..., 0]
+    for k, each in enumerate(own):
+        evidences = whole["sample_stats"]["log_evidence"].values[2 * k : 2 * k + 2]
+        np.testing.assert_allclose(evidences, -each.offset, atol=0.02)
+        sd = gaussian_smoother(each.model, problem.observations).covariance()[:, 0, 0].sqrt().numpy()
+        drawn = drawn_of[2 * k : 2 * k + 2].reshape(200, -1).std(0)
+        assert np.median(drawn / sd) == pytest.approx(1, abs=0.1)  # of 200 draws each, over 40 rows
+
+
+@pytest.mark.parametrize("method", ["smc", "nested"])
+def test_each_filter_has_a_set_of_its_own(sets, method):
+    """Evidences are the smoother's, which is nearly exact here, and so are mean and band of the pooled draws."""
+    problem, own = sets
+    options = SMCOptions(24, 50, 8)
+    found, gaussian = (over_sets(each, problem, own, options=options, seed=1) for each in (method, "laplace"))
+    assert found.attrs["method"] == found["sample_stats"].attrs["method"] == method
+    assert found["sample_stats"].attrs["usable"] == 1
+    assert found.attrs["outer_ess"] > 20
+    # Offsets are minus each set's evidence.
+    np.testing.assert_allclose(found["sample_stats"]["log_evidence"], 0.0, atol=0.5)
+    one, two = (pooled(each)["torque"].values[..., 0] for each in (found, gaussian))
+    assert np.abs(one.mean(0) - two.mean(0)).max() < 5 * two.std(0).max() / np.sqrt(24)
+    assert np.median(one.std(0) / two.std(0)) == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.long
+def test_tasks_and_seeds_decide_the_result(sets, tmp_path):
+    from invdyn.inference.execution.checkpoint import Checkpoint
+
+    problem, own = sets
+    options = SMCOptions(6, 10, 2, filters_per_task=2)
+
+    def drawn(**more):
+        return pooled(over_sets("smc", problem, own, options=options, seed=3, **more))["torque"].values
+
+    first = drawn()
+    np.testing.assert_array_equal(drawn(), first)
+    kept = Checkpoint(tmp_path / "run", {"of": "this"})
+    np.testing.assert_array_equal(drawn(checkpoint=kept), first)
+    np.testing.assert_array_equal(drawn(checkpoint=kept), first)
+    assert len(list((tmp_path / "run").glob("part-*"))) == 3
+
+
+def test_bodies_that_differ_are_told_apart(sets):
+    problem, own = sets
+    longer = [
+        replace(each, model=each.model.replace(**{"body.length": torch.tensor([length], dtype=torch.float64)}))
+        for each, length in zip(own, (0.499, 0.5, 0.501), strict=True)
+    ]
+    for method in ("laplace", "smc"):
+        idata = over_sets(method, problem, longer, options=SMCOptions(6, 20, 10), seed=0)
+        assert set(np.unique(idata["posterior"]["length"])) <= {0.499, 0.5, 0.501}
+        assert len(np.unique(idata["posterior"]["length"])) > 1
+
+
+def test_equal_models_are_a_batch_too(sets):
+    _, own = sets
+    both = stacked([own[0].model, own[0].model])
+    assert both.parameters["noise.angle"].shape == (2, 1, 1)
+    assert both.parameters["torque.scale"].shape == (1,)
