@@ -26,7 +26,7 @@ import torch
 from scipy.signal import butter, filtfilt
 
 from invdyn.models import Body, dynamics_for
-from invdyn.recordings import Recording, Truth, keypoints_from_angles, load, load_truth
+from invdyn.recordings import Recording, Truth, load, load_truth
 from invdyn.recordings.formats.opensim import read_sto
 
 FRICTION = {"viscous": (0.001, 0.001), "coulomb": (0.093, 0.078)}  # model_2.0, N·m·s/rad and N·m
@@ -147,11 +147,22 @@ def design_a0() -> Body:
     return Body.from_toml(files("invdyn.models") / "bodies" / "dfki_design_a0.toml")
 
 
+def filmed(log: Truth, lengths: list[float], seed: int) -> Recording:
+    """Tips of a planar chain as a camera with 3 mm of noise would see them in 60 frames/s, from the log's angles."""
+    frames = np.floor((log.time[-1] - log.time[0]) * 60.0 + 1e-9) + 1  # 1e-9 keeps a last frame despite rounding
+    time = np.minimum(log.time[0] + np.arange(frames) / 60.0, log.time[-1])
+    heading = np.cumsum([np.interp(time, log.time, column) for column in log.angle.T], axis=0).T
+    links = np.asarray(lengths)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    tips = np.cumsum(links, axis=1)
+    noise = 0.003 * np.random.default_rng(seed).normal(size=tips.shape)
+    return Recording(time, tips + noise, (*log.joint_names[1:], "wrist"))
+
+
 def dfki(run: str, seed: int = 0) -> Case:
     """The torque of the links: less what turns the rotors, which the body has none of."""
     body, log = design_a0(), load_truth(f"dfki-trajectory-{run}")
     lengths = [link.nominal("length") for link in body.links]
-    recording = keypoints_from_angles(log, lengths, noise_sd=0.003, rate=60.0, seed=seed)
+    recording = filmed(log, lengths, seed)
     torque = frame_means(recording.time, log.time, joint_torque(log), 1 / 60) - rotor_torque(log, recording.time)
     return Case(f"dfki {run}", recording, body, torque, options={"hide_torque": True})
 

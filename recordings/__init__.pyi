@@ -6,7 +6,6 @@ from .atomic import write_text as write_text
 from .catalogue import demo_frames as demo_frames
 from .catalogue import load_truth as load_truth
 from .catalogue import names as names
-from .encoders import keypoints_from_angles as keypoints_from_angles
 from .errors import InputError as InputError
 from .forces import SiteForce as SiteForce
 from .forces import read_forces as read_forces

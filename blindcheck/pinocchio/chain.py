@@ -110,13 +110,6 @@ class Chain:
         upper = np.triu(self.pin.crba(self.model, self.data, self.signs * (q - self.zeros)))
         return np.outer(self.signs, self.signs) * (upper + np.triu(upper, 1).T)
 
-    def energy(self, q: np.ndarray, qd: np.ndarray) -> float:
-        """Kinetic and potential energy, J, at a posture and velocity (S,) in the body's angles."""
-        self.ready()
-        x, v = self.signs * (q - self.zeros), self.signs * qd
-        kinetic = self.pin.computeKineticEnergy(self.model, self.data, x, v)
-        return float(kinetic + self.pin.computePotentialEnergy(self.model, self.data, x))
-
     def mobility(self) -> np.ndarray:
         """The largest mobilities (K,), 1/(kg·m²), of the joints, stretched out and folded at right angles."""
         bent = np.array([0.0 if piece.joint is None else np.pi / 2 for piece in self.pieces])
