@@ -8,11 +8,13 @@ from typing import Self
 
 from invdyn.models.bodies import (
     body_chain,
+    body_mjcf,
+    body_osim,
     body_toml,
     body_tree,
+    body_urdf,
     body_xml,
     planar,
-    robot_file,
 )
 from invdyn.models.bodies.body_toml import LOAD
 from invdyn.models.bodies.joints import Joint
@@ -48,7 +50,8 @@ class FromFiles(ArticulatedBody):
         content = read_whole(path, body_xml.MOST_BYTES)
         if not body_xml.is_xml(content):
             return cls.from_tables(body_toml.parse(content, str(path)), path)
-        robot = robot_file.of(content, str(path))
+        root = body_xml.parse(content, str(path))
+        robot = {"mujoco": body_mjcf, body_xml.OSIM: body_osim}.get(root.tag, body_urdf).of(root, str(path))
         if dimensions is None:
             dimensions = 2 if robot.angles_are_free and is_planar_chain(robot.parts) else 3
             if dimensions == 2 and not filmed and (off := body_chain.masses_off_line(robot, str(path))):
