@@ -5,6 +5,7 @@ Engines of a kind of bodies share names, places, units and usual sizes of effect
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -12,13 +13,12 @@ import numpy as np
 
 from invdyn.blindcheck import camera
 from invdyn.blindcheck import effects as injected
-from invdyn.blindcheck.effects import EFFECTS, MECHANISMS, Injected
+from invdyn.blindcheck.effects import EFFECTS, Injected
 from invdyn.blindcheck.pinocchio import camera as second_camera
 from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
 from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
 from invdyn.blindcheck.pinocchio.unlisted import UNLISTED as OTHER_UNLISTED
-from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.setting import PLANE, Setting
 from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.trees import SPACE
@@ -35,10 +35,7 @@ class Engine:
         setting: the kind of bodies, and what their cases have in common.
         effects: those of the catalogue that it simulates, by name.
         world: a body → a world that mechanisms change and that then runs: see `simulator.World`.
-        draw: (generator, effect, scene, place, strength) → the effect's parameters.
-        mechanisms: effect → what installs it, called with a world, a place unless it is of the whole arm, and the
-            parameters by name.
-        unlisted: the same of effects outside the catalogue, called with a world, a generator, a scene and a joint.
+        unlisted: effects outside the catalogue, by name, called with a world, a generator, a scene and a joint.
         film: (trajectory, true times, effects, noise, seed) → points; see `camera.film`.
         noise_law: the tracker's law of a reality's seed, in a word.
     """
@@ -49,8 +46,6 @@ class Engine:
     setting: Setting
     effects: Mapping[str, Injected]
     world: Callable[[Any], Any]
-    draw: Callable[[np.random.Generator, str, Scene, int, float], dict]
-    mechanisms: Mapping[str, Callable[..., None]]
     unlisted: Mapping[str, Callable[..., dict]]
     film: Callable[..., np.ndarray]
     noise_law: Callable[[Sequence[int]], str]
@@ -61,10 +56,6 @@ class Engine:
         return f"{self.name} {version(self.package)}"
 
 
-def _usual(rng: np.random.Generator, name: str, s: Scene, place: int, strength: float) -> dict:
-    return EFFECTS[name].size(rng, s, place, strength)
-
-
 MUJOCO = Engine(
     "mujoco",
     "mujoco",
@@ -72,8 +63,6 @@ MUJOCO = Engine(
     PLANE,
     EFFECTS,
     World,
-    _usual,
-    MECHANISMS,
     UNLISTED,
     camera.film,
     lambda seed: "normal",
@@ -91,10 +80,8 @@ PINOCCHIO = Engine(
     "pin",
     "pinocchio",
     PLANE,
-    EFFECTS,
+    {name: replace(each, size=partial(drawn_form, name), install=FORMS.get(name)) for name, each in EFFECTS.items()},
     SecondWorld,
-    drawn_form,
-    FORMS,
     OTHER_UNLISTED,
     second_camera.film,
     second_camera.noise_law,

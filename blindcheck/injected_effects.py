@@ -33,7 +33,7 @@ def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float, engine
     place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
     if name in UNLISTED:
         return Present(name, place, {}, int(rng.integers(2**31)))
-    size = engine.draw(rng, name, s, place or 0, strength)
+    size = engine.effects[name].size(rng, s, place or 0, strength)
     return Present(name, place, {key: float(value) for key, value in size.items()})
 
 
@@ -49,9 +49,9 @@ def world_with(body: Body, present: Sequence[Present], s: Scene, engine: Engine 
         if each.name in UNLISTED:
             install = engine.unlisted[each.name]
             each.parameters.update(install(world, np.random.default_rng(each.seed), s, each.place or 0))
-        elif each.name in engine.mechanisms:
+        elif (mechanism := engine.effects[each.name].install) is not None:
             where = () if each.place is None else (each.place,)
-            engine.mechanisms[each.name](world, *where, **each.parameters)
+            mechanism(world, *where, **each.parameters)
     return world
 
 

@@ -33,16 +33,12 @@ IN_SPACE = {
 }
 """Those that the catalogue knows in space, too, with their units there."""
 
-MECHANISMS = {name: effect.install for name, effect in EFFECTS.items() if effect.install is not None}
-"""What installs each effect of the dynamics."""
-
 OBSERVATIONS = tuple(name for name, effect in EFFECTS.items() if effect.install is None)
 """Effects on what sensors show."""
 
 __all__ = [
     "EFFECTS",
     "IN_SPACE",
-    "MECHANISMS",
     "OBSERVATIONS",
     "Injected",
     "disturbances",

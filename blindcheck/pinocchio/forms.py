@@ -33,7 +33,7 @@ def form(draw: Draw | None = None) -> Callable:
     return tell
 
 
-def drawn_form(rng: np.random.Generator, name: str, s: Scene, place: int, strength: float) -> dict:
+def drawn_form(name: str, rng: np.random.Generator, s: Scene, place: int, strength: float) -> dict:
     """Parameters of an effect in one of its forms here."""
     usual = {key: float(value) for key, value in EFFECTS[name].size(rng, s, place, strength).items()}
     return DRAWS[name](rng, s, place, usual) if name in DRAWS else usual

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from invdyn.blindcheck.camera import film
-from invdyn.blindcheck.effects import MECHANISMS
+from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.equivalence import NUMBERS, exactly_equivalent, stand_ins
 from invdyn.blindcheck.simulator import World
 from invdyn.diagnosis.catalogue import CATALOGUE
@@ -16,6 +16,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.recordings import Recording
 
 pytest.importorskip("mujoco")
+MECHANISMS = {name: effect.install for name, effect in INJECTED.items() if effect.install is not None}
 
 TIME = np.arange(-100, 201) / 100
 SEEN = np.arange(0, 101) / 50

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from invdyn.blindcheck.effects import EFFECTS as INJECTED
-from invdyn.blindcheck.effects import IN_SPACE, MECHANISMS
+from invdyn.blindcheck.effects import IN_SPACE
 from invdyn.blindcheck.simulator import World
 from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import EFFECTS, Backlash
 
 pytest.importorskip("mujoco")
+MECHANISMS = {name: effect.install for name, effect in INJECTED.items() if effect.install is not None}
 pytestmark = pytest.mark.usefixtures("fine_steps")
 ARM = planar_body(
     "arm",

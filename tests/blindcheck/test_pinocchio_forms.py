@@ -42,7 +42,7 @@ def needed(install):
 
 
 def with_effect(name, *where, **parameters):
-    return needed(lambda world: PINOCCHIO.mechanisms[name](world, *where, **parameters))
+    return needed(lambda world: PINOCCHIO.effects[name].install(world, *where, **parameters))
 
 
 def close(torque, expected, rtol=2e-3):
@@ -85,7 +85,7 @@ def test_hard_friction_holds_at_rest_and_does_not_creep():
     level = planar_body("arm", ARM.links, gravity=(0, 0))
     world = PINOCCHIO.world(level)
     for joint in (0, 1):
-        PINOCCHIO.mechanisms["coulomb_friction"](world, joint, 0.5)
+        PINOCCHIO.effects["coulomb_friction"].install(world, joint, 0.5)
     real = world.run(ROWS[:16], lambda *_: np.array([0.4, -0.4]), [0.0, 0.0], [0.0, 0.0])
     assert np.abs(real.q).max() < 1e-9  # free, it would have rotated by radians
 
@@ -119,7 +119,7 @@ def test_a_half_wave_has_the_impulse_of_a_constant_force():
     peak = np.pi / 2 * np.array([2.0, -3.0])
     for force in ({"force_x": 2.0, "force_y": -3.0}, {"peak_x": peak[0], "peak_y": peak[1]}):
         world = PINOCCHIO.world(planar_body("arm", ARM.links, gravity=(0, 0)))
-        PINOCCHIO.mechanisms["external_push"](world, 1, start=0.5013, stop=0.5113, **force)
+        PINOCCHIO.effects["external_push"].install(world, 1, start=0.5013, stop=0.5113, **force)
         ends.append(world.run(ROWS[:31], lambda *_: np.zeros(2), [0.3, 0.4], [0.0, 0.0]).qd[-1])
     np.testing.assert_allclose(ends[0], ends[1], rtol=2e-3)
     assert np.abs(ends[0]).min() > 0.01
@@ -127,7 +127,7 @@ def test_a_half_wave_has_the_impulse_of_a_constant_force():
 
 def test_backlash_is_slack_and_then_springs():
     world = PINOCCHIO.world(ARM)
-    PINOCCHIO.mechanisms["backlash"](world, 1, 0.02, rotor_share=0.4, gear_stiffness=400.0, gear_damping=0.1)
+    PINOCCHIO.effects["backlash"].install(world, 1, 0.02, rotor_share=0.4, gear_stiffness=400.0, gear_damping=0.1)
     seen = []
     world.begin(lambda t, h, q, v, at: seen.append(q[at[1] + 1]))
     real = world.run(ROWS, swing, *START)
@@ -196,9 +196,9 @@ def test_draws_are_what_a_form_takes(name):
     plan = random_plan(np.random.default_rng(3), ARM, False, PINOCCHIO.world)
     about = scene(ARM, plan, MUJOCO.world(ARM).run(ROWS, swing, *START), PINOCCHIO.world)
     for seed in range(8):
-        drawn = PINOCCHIO.draw(np.random.default_rng(seed), name, about, 1, 1.0)
+        drawn = PINOCCHIO.effects[name].size(np.random.default_rng(seed), about, 1, 1.0)
         assert all(isinstance(value, float) and np.isfinite(value) for value in drawn.values())
-        if name in PINOCCHIO.mechanisms:
-            install = PINOCCHIO.mechanisms[name]
+        if PINOCCHIO.effects[name].install is not None:
+            install = PINOCCHIO.effects[name].install
             where = () if EFFECTS[name].site == "arm" else (1,)
             inspect.signature(install).bind(None, *where, **drawn)

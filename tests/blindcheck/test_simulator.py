@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.blindcheck.effects import MECHANISMS
+from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.motion import LEAD, random_body, random_plan, replay, simulated
 from invdyn.blindcheck.simulator import World
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.planar import planar_dynamics
 
 pytest.importorskip("mujoco")
+MECHANISMS = {name: effect.install for name, effect in INJECTED.items() if effect.install is not None}
 
 
 def ideal(body, trajectory, row, rows):
