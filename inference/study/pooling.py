@@ -146,7 +146,7 @@ def pool(
 
 def groupings(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> dict[str, np.ndarray]:
     """Group (n,) of each trial by each grouping that the design tells from conditions, trials, and the ones before."""
-    pairs = {
+    pairs: dict[str, list[tuple]] = {
         "subject": list(zip(subject, strict=True)),
         "subject × condition": list(zip(subject, condition, strict=True)),
         "session": list(zip(subject, session, strict=True)),

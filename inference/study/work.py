@@ -187,5 +187,5 @@ def _guarded(work: Callable[[], Tensors]) -> Tensors:
 
 
 def parameters_of(part: Tensors) -> dict[str, Tensor]:
-    """Values of parameters by name."""
-    return {name.removeprefix(VALUE): value for name, value in part.items() if name.startswith(VALUE)}
+    """Values of parameters by name, in one order: what a checkpoint gives back has any."""
+    return {name.removeprefix(VALUE): value for name, value in sorted(part.items()) if name.startswith(VALUE)}
