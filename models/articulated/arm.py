@@ -191,8 +191,8 @@ class ArmModel(StateSpaceModel):
         """What is large and small for this body, which effects' priors follow."""
         command = None if self.command is None else self.command.cpu()
         seen = self.experience
-        parts = getattr(self.body, "joint_parts", ())
-        return Scale(self.dynamics, self.body.parameters(), self.time.cpu(), command, seen.motion, seen.range, parts)
+        body, time = self.body, self.time.cpu()
+        return Scale(self.dynamics, body.parameters(), time, command, seen.motion, seen.range, body.joint_parts)
 
     @property
     def unconstrained(self) -> frozenset[str]:

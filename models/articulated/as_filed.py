@@ -11,8 +11,6 @@ A file may name the engine that simulates it, in steps of first order. What thos
 simulated only where a recording is taken for that engine's (:meth:`.ArmModel.in_engine_steps`).
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -107,16 +105,14 @@ class FiledStep(Filed):
 
 def engine_steps(body: ArticulatedBody) -> tuple[FiledStep, ...]:
     """What steps of the file's own engine do at each joint; none where it takes none of first order."""
-    every: Sequence[JointParts | None] = getattr(body, "joint_parts", ())
-    joints = enumerate(zip(body.joint_names, every, strict=False))
+    joints = enumerate(zip(body.joint_names, body.joint_parts, strict=True))
     return tuple(FiledStep(joint, k, parts) for k, (joint, parts) in joints if parts is not None and parts.step)
 
 
 def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
-    """The parts that a body's file gives its joints; none of a body that knows of none."""
+    """The parts that a body's file gives its joints."""
     found: list[Filed] = []
-    every: Sequence[JointParts | None] = getattr(body, "joint_parts", ())
-    for number, (joint, parts) in enumerate(zip(body.joint_names, every, strict=False)):
+    for number, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
         if parts is None:
             continue
         kinds: list[tuple[type[Filed], object]] = [
@@ -133,7 +129,7 @@ def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
 def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor) -> Tensor:
     """Torques (..., K) of all motors under a model's ``command`` in states q, q̇, (..., K); servos answer to them."""
     columns = list(command.unbind(-1))
-    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+    for k, parts in enumerate(body.joint_parts):
         if parts is not None and (servo := parts.servo) is not None:
             whole = columns[k] - servo.stiffness * q[..., k] - servo.damping * qd[..., k]
             columns[k] = whole.clamp(servo.low, servo.high)

@@ -42,7 +42,7 @@ def default_parameters(
 
 def joint_numbers(body: ArticulatedBody) -> dict[str, Tensor]:
     """What the body's file gives its joints, "body.damping" (K,) and so on; none of a body that has no such parts."""
-    parts = [each or NOTHING for each in getattr(body, "joint_parts", ())]
+    parts = [each or NOTHING for each in body.joint_parts]
     if all(each == NOTHING for each in parts):
         return {}
     return {
