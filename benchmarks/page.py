@@ -35,7 +35,8 @@ COMMANDS = {
     "gallery": "gallery.py",
     "gallery_growth": "gallery.py --growth 20",
     "gallery_peers": "gallery_peers.py",
-    "against_sensors": 'against_sensors.py "pendulum 3" "pendulum 4" "dfki 00" "dfki 02" "dfki 05" film arm26',
+    "against_sensors": 'against_sensors.py "pendulum 3" "pendulum 4" "dfki 00" "dfki 02" "dfki 05" film arm26 '
+    "--results build/sensors.jsonl",
     "against_sensors_kuka": 'against_sensors.py "kuka 1" "kuka 2" --results build/kuka.jsonl',
     "what_is_off": "what_is_off.py",
     "reaches": "reaches.py --first 5000 --reaches 60 --smc 0 --results build/reaches.jsonl",
