@@ -137,9 +137,9 @@ def test_parameters_are_fitted_once_for_all_methods(data, monkeypatch):
     fits, task = [], sys.modules[prepare.__module__]
     fitted = task.fit_over_gaps
 
-    def counted(model, observations, *rest):
+    def counted(model, observations, *rest, **more):
         fits.append(len(observations))
-        return fitted(model, observations, *rest)
+        return fitted(model, observations, *rest, **more)
 
     monkeypatch.setattr(task, "fit_over_gaps", counted)
     free = {name: value for name, value in KNOWN.items() if name != "torque.scale"}
