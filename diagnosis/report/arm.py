@@ -30,8 +30,9 @@ class View:
 
 def arm(diagnosis: Diagnosis) -> Markup:
     """The drawing; of a body in space one from the side and one from the front."""
-    body = diagnosis.posture
-    return Markup("").join(_seen(diagnosis, body, body.points @ view.T) for view in (body.views if body else ()))
+    if (body := diagnosis.posture) is None:
+        return Markup("")
+    return Markup("").join(_seen(diagnosis, body, body.points @ view.T) for view in body.views)
 
 
 def _seen(diagnosis: Diagnosis, body: Posture, points: np.ndarray) -> Markup:
