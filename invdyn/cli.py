@@ -24,6 +24,7 @@ from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
 from .inference_options import Inference, kinematic_arguments, open_workers
 from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
+from .recipes import Recipe
 from .settings import GroupedCommand, Setting, with_settings
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
@@ -112,6 +113,7 @@ def simulate(
 def infer(
     given: Inference,
     out: Outputs = None,
+    recipe: Recipe = None,
     method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
     kinematic: Annotated[
         bool, typer.Option("--kinematic", help="Motion and lengths alone, without forces; by smc or laplace.")

@@ -18,7 +18,7 @@ MIN_GROUPED = 12  # options of a command from which on they stand in groups
 GROUPS = {
     "Recording": "body height mass sex units fps scale base frames calibration offset tracker mapping others held_out "
     "camera",
-    "Model": "zero_torque hide_torque forces truth learn torque noise kinematic",
+    "Model": "zero_torque hide_torque forces truth learn torque noise kinematic recipe",
     "Scene": "length find up refine fit",
     "Search": "exclude estimate max_effects budget force",
     "Computation": "filters particles draws replicates isolate workers seed seed_file checkpoint",
