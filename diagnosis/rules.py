@@ -397,6 +397,9 @@ class Fixed:
     )
     max_regression_rows: int = number(4000, "rows", "of smoothed angles; more are averaged", "effort")
     min_moving_share: float = number(0.2, "rows", "in which a joint turns, for those at rest not to count", "chosen")
+    linear_servo_gain: float = number(
+        0.7, "log", "of a servo's gain, that a regression about the file's takes", "stated"
+    )
     velocity_power: float = number(0.95, "1", "of a velocity's power, that a motion's frequencies have", "stated")
     cutoff_factor: float = number(2.5, "1", "times those, a regression's frequencies", "measured: DFKI 01 and 03, WAM")
     cross_validation_folds: int = number(6, "folds", "of neighbouring rows, each predicted by the others", "effort")

@@ -46,7 +46,6 @@ def model_on(motion: MeasuredMotion, body: ArticulatedBody, passive: bool) -> Ar
 
 def with_coefficients(model: ArmModel, found: Coefficients) -> ArmModel:
     """The model with what a regression found."""
-    gains = {place: 1 + value for (kind, place, _), value in found.items() if kind == "actuator_gain"}
     effects: dict[str, Effect] = {}
     values: dict[str, float] = {}
 
@@ -59,12 +58,10 @@ def with_coefficients(model: ArmModel, found: Coefficients) -> ArmModel:
     for (kind, place, name), value in found.items():
         if kind == INERTIAL:
             continue
-        if kind == "actuator_gain":
-            add(kind, place, gain=1 / gains[place] - 1)
-        elif kind == "constant_torque":
-            add("joint_stiffness", place, stiffness=0.0, torque=-value / gains.get(place, 1.0))
+        if kind == "constant_torque":
+            add("joint_stiffness", place, stiffness=0.0, torque=-value)
         else:
-            add(kind, place, **{name: value / gains.get(place, 1.0)})
+            add(kind, place, **{name: value})
     changed = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
     links = {key: value for key, value in found.items() if key[0] == INERTIAL}
     if links:

@@ -9,6 +9,8 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
     link        Y(q, q̇, q̈) of its m, m c and J (:mod:`.regressors`)
 
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
+Servos' gains are near to what :mod:`.servo_gains` says; their own damping counts as the joint's. Rows at which such a
+servo reaches its limits say nothing.
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
 
@@ -55,6 +57,8 @@ FILED = {
     "joint_stiffness": "stiffness",
 }
 """Of numbers that are never negative, what a body's file says of each joint."""
+LEAST = {"actuator_gain": -0.9}
+"""Of other numbers: what is commanded for a torque has its sign."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,9 @@ class LinearEffects:
     """Columns along a motion.
 
     Attributes:
-        missing: (R, K) torque that was given, less what the file asks for.
+        missing: (R, K) torque that was given, less what the file asks for: by servos with the gains that they have.
+        of_file: (R, K) the same by the file's servos, in their limits.
+        usable: (R, K) whether no servo is at its limits.
         values: (P, R, K) expected torque of each column's unit; variance: (P, R, K) of it.
         kinds, places, names, units: (P,) effect, joint or link, parameter, its unit.
         size: (P,) sd of the prior where an effect is as large as is usual.
@@ -74,6 +80,8 @@ class LinearEffects:
     """
 
     missing: np.ndarray
+    of_file: np.ndarray
+    usable: np.ndarray
     values: np.ndarray
     variance: np.ndarray
     kinds: tuple[str, ...]
@@ -88,14 +96,23 @@ class LinearEffects:
 
 
 def linear_effects(
-    dynamics: Dynamics, body: Any, motion: MeasuredMotion, passive: bool, rules: Rules, cutoff: float
+    dynamics: Dynamics,
+    body: Any,
+    motion: MeasuredMotion,
+    passive: bool,
+    rules: Rules,
+    cutoff: float,
+    factor: np.ndarray | float = 1.0,
 ) -> LinearEffects:
-    """All columns of a body along a motion, in frequencies up to ``cutoff``, Hz."""
+    """All columns of a body along a motion, in frequencies up to ``cutoff``, Hz.
+
+    ``factor`` (K,) is how many times a servo makes too much of its target's distance.
+    """
     K, joints = motion.q.shape[1], body.joint_names
-    sign = erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300)))
-    rigid = inverse(dynamics, body.parameters(), motion)
-    required = rigid + np.stack(filed_torques(body, motion.q, motion.qd, motion.qdd, sign), -1)
-    needed, given = (np.sqrt((each**2).mean(0)) for each in (required, motion.torque))
+    sign, required = expected_sign(motion), asked_by_file(dynamics, body, motion)
+    torque, parts = motion.asked / factor, getattr(body, "joint_parts", ()) or [None] * K
+    usable = within_limits(body, torque - motion.servo_drag)
+    needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
     whole = np.maximum(needed, given)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
     one, none = np.ones_like(motion.q), np.zeros_like(motion.q)
@@ -108,7 +125,6 @@ def linear_effects(
         "constant_torque": [] if passive else [(one, none)],
         "actuator_gain": [] if passive else [(required, none)],
     }
-    parts = getattr(body, "joint_parts", ()) or [None] * K
     values, variance, size, least, labels = [], [], [], [], []
     for kind, columns in made.items():
         for k in range(K):
@@ -120,7 +136,9 @@ def linear_effects(
                 variance.append(here[1])
                 size.append(unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
                 filed = kind in FILED and (len(columns) == 1 or name == "stiffness")
-                least.append(-getattr(parts[k] or NOTHING, FILED[kind]) if filed else -np.inf)
+                own = parts[k] or NOTHING
+                own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
+                least.append(-getattr(own, FILED[kind]) - own_damping if filed else LEAST.get(kind, -np.inf))
                 labels.append((kind, joints[k], name, of))
     links = link_regressors(dynamics, body, motion)
     values += list(links)
@@ -136,7 +154,9 @@ def linear_effects(
     labels += [(INERTIAL, link, name, of) for name, of in link_names(body, own) for link in body.link_names]
     kinds, places, names, units = zip(*labels, strict=True)
     return LinearEffects(
-        low_passed(motion.torque - required, motion, cutoff),
+        low_passed(bridged(torque - required, usable), motion, cutoff),
+        low_passed(motion.torque + motion.servo_drag - required, motion, cutoff),
+        usable,
         low_passed(np.array(values), motion, cutoff),
         np.array(variance),
         kinds,
@@ -149,6 +169,34 @@ def linear_effects(
         free,
         cutoff,
     )
+
+
+def expected_sign(motion: MeasuredMotion) -> np.ndarray:
+    """E[sgn q̇] (R, K)."""
+    return np.asarray(erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300))))
+
+
+def asked_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> np.ndarray:
+    """What the file asks for along a motion, (R, K): of links, joints and servos' damping."""
+    joints = filed_torques(body, motion.q, motion.qd, motion.qdd, expected_sign(motion))
+    return inverse(dynamics, body.parameters(), motion) + np.stack(joints, -1) + motion.servo_drag
+
+
+def within_limits(body: Any, torque: np.ndarray) -> np.ndarray:
+    """Whether servos give the ``torque`` (R, K) that they ask for; true of all other joints."""
+    inside = np.ones(torque.shape, dtype=bool)
+    for k, parts in enumerate(getattr(body, "joint_parts", ())):
+        if parts is not None and parts.servo is not None:
+            inside[:, k] = (torque[:, k] > parts.servo.low) & (torque[:, k] < parts.servo.high)
+    return inside
+
+
+def bridged(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Values (R, K) with straight lines over rows that are not ``usable`` (R, K): a filter would spread these."""
+    rows, found = np.arange(len(values)), values.copy()
+    for k in np.flatnonzero(~usable.all(0) & usable.any(0)):
+        found[:, k] = np.interp(rows, rows[usable[:, k]], values[usable[:, k], k])
+    return found
 
 
 def _but_the_largest(links: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -26,7 +26,9 @@ from invdyn.recordings import Recording
 class MeasuredMotion:
     """Posterior means (R, K) of angle, velocity and acceleration, their sds, and the torque (R, K).
 
-    `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces of a recording between which time jumps.
+    `asked` (R, K) is K (c − q) of position servos, without limits and without their damping, of which `servo_drag` is
+    the torque; elsewhere it is `torque`. `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces
+    of a recording between which time jumps.
     """
 
     time: np.ndarray
@@ -36,6 +38,8 @@ class MeasuredMotion:
     qd_sd: np.ndarray
     qdd_sd: np.ndarray
     torque: np.ndarray
+    asked: np.ndarray
+    servo_drag: np.ndarray
     command: np.ndarray
     stretch: np.ndarray
 
@@ -135,13 +139,21 @@ def _of_stretch(
     passive: bool,
 ) -> MeasuredMotion:
     q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
-    given = held_mean(time, torque, smoothed.time)
-    command = given
+    command = given = asked = held_mean(time, torque, smoothed.time)
+    drag = servo_damping(body) * qd
     if not passive:
-        given = np.asarray(answered(body, *(torch.as_tensor(each) for each in (given, q, qd))).numpy())
+        at = [torch.as_tensor(each) for each in (command, q, qd)]
+        given, whole = (answered(body, at[0], at[1], at[2], limited).numpy() for limited in (True, False))
+        asked = whole + drag
     sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
     where = np.full(len(q), number)
-    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, command, where)
+    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, asked, drag, command, where)
+
+
+def servo_damping(body: ArticulatedBody) -> np.ndarray:
+    """D (K,) N·m·s/rad of position servos, 0 elsewhere."""
+    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
+    return np.array([0.0 if own is None else own.servo_damping for own in every])
 
 
 def held_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

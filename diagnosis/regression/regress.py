@@ -12,6 +12,7 @@ that is the answer.
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,9 +22,16 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, LinearEffects, cutoff_of, linear_effects
+from invdyn.diagnosis.regression.linear_effects import (
+    INERTIAL,
+    LinearEffects,
+    asked_by_file,
+    cutoff_of,
+    linear_effects,
+)
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
+from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
 from invdyn.diagnosis.regression.weighted_fit import Fitted, correlation_times, left_by, weighted_fit
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
@@ -31,6 +39,7 @@ from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
+GAIN = "actuator_gain"
 FRICTION = ("viscous_friction", "coulomb_friction")
 PLAIN: tuple[tuple[str, ...] | None, ...] = (None, FRICTION, (*FRICTION, INERTIAL))
 """What is chosen by evidence, and fits without a choice that it must not be behind."""
@@ -128,9 +137,11 @@ def regress(
         return None
     other = None if held_out is None else measured_motion(held_out, body, passive=passive, rules=rules)
     cutoff = min(cutoff_of(each) for each in (motion, other) if each is not None)
-    of = partial(linear_effects, dynamics_for(body), body, passive=passive, rules=rules, cutoff=cutoff)
-    whole = of(motion=motion)
     first, last = motion.split(rules.outcome.fit_share) if other is None else (motion, other)
+    dynamics = dynamics_for(body)
+    gains = servo_gains(first, asked_by_file(dynamics, body, first), body)
+    of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff, factor=gains.factor)
+    whole = of(motion=motion)
     known, unseen = of(motion=first), of(motion=last)
     fits = [weighted_fit(known, first, rules, plain) for plain in PLAIN]
     left = [left_by(unseen, each.chosen) for each in fits]
@@ -141,23 +152,46 @@ def regress(
     best = int(np.argmin(errors)) if behind else 0
     fit = fits[best] if other is not None else weighted_fit(whole, motion, rules, PLAIN[best])
     memory = float(correlation_times(left_by(known, fits[best].chosen), first.stretch).max())
-    torque = closing(unseen.missing, left[best], memory, rules)
-    stated = tuple(
-        Stated(s.kind, tuple(s.columns), len(s.columns) == _places(whole, s.kind), gain)
-        for s, gain in zip(fit.chosen.statements, fit.chosen.gain, strict=True)
-    )
-    numbers = (*_of_joints(whole, fit, body), *_of_links(whole, fit, body))
-    plain = closing(unseen.missing, left[PLAIN.index(FRICTION)], memory, rules)
-    there = Unseen(last, _named(known, fits[best].chosen), unseen.missing, left[best], known.cutoff, memory)
+    torque = closing(unseen.of_file, left[best], memory, rules)
+    stated = _stated(whole, fit, gains, body)
+    numbers = (*_of_joints(whole, fit, gains, body), *_of_links(whole, fit, body))
+    plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
+    there = Unseen(last, _named(known, fits[best].chosen, gains), unseen.of_file, left[best], known.cutoff, memory)
     return Regression(
-        body.joint_names, stated, numbers, torque, plain, len(motion.time), _named(whole, fit.chosen), there
+        body.joint_names, stated, numbers, torque, plain, len(motion.time), _named(whole, fit.chosen, gains), there
     )
 
 
-def _named(effects: LinearEffects, chosen: Chosen) -> dict[tuple[str, str, str], float]:
-    """Coefficients by effect, place and parameter."""
+def _stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, body: Any) -> tuple[Stated, ...]:
+    """What was chosen; servos with a gain that the file has not are stated where nothing was chosen there."""
+    found = {s.kind: (tuple(s.columns), gain) for s, gain in zip(fit.chosen.statements, fit.chosen.gain, strict=True)}
+    if servos.changed.any():
+        places, gain = found.pop(GAIN, ((), 0.0))
+        every = [name for name, new in zip(body.joint_names, servos.changed, strict=True) if new or name in places]
+        before, after = (np.sqrt((each**2).mean(0)) for each in (effects.of_file, left_by(effects, fit.chosen)))
+        gain += float((len(effects.missing) * np.log(before / after))[servos.changed].sum())
+        found = {GAIN: (tuple(every), gain), **found}
+    return tuple(
+        Stated(kind, places, len(places) == _places(effects, kind), gain) for kind, (places, gain) in found.items()
+    )
+
+
+def _named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> dict[tuple[str, str, str], float]:
+    """Numbers by effect, place and parameter; a gain is the motor's."""
     names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
-    return dict(zip(names, chosen.values.tolist(), strict=True))
+    found = dict(zip(names, chosen.values.tolist(), strict=True))
+    factors = {place: 1 + value for (kind, place, _), value in found.items() if kind == GAIN}
+    for key, p in zip(names, chosen.columns, strict=True):
+        if key[0] not in (INERTIAL, GAIN):
+            found[key] = max(found[key] / factors.get(key[1], 1.0), float(effects.least[p]))
+    for place, factor, new in zip(_joints(effects), servos.factor.tolist(), servos.changed, strict=True):
+        if new or place in factors:
+            found[GAIN, place, "gain"] = 1 / (factor * factors.get(place, 1.0)) - 1
+    return found
+
+
+def _joints(effects: LinearEffects) -> list[str]:
+    return [place for kind, place in zip(effects.kinds, effects.places, strict=True) if kind == "viscous_friction"]
 
 
 def _places(effects: LinearEffects, kind: str) -> int:
@@ -169,29 +203,32 @@ def _estimate(value: float, sd: float, freedom: int) -> tuple[float, tuple[float
     return sd, (value - half, value + half)
 
 
-def _of_joints(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
+def _of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains, body: Any) -> list[Estimated]:
     """Numbers of effects at joints.
 
-    A gain is the motor's: where τ (1 + g) was commanded for τ, ε = −g/(1 + g). Other numbers were fitted in torques as
-    commanded, and are divided by 1 + g.
+    A gain is the motor's: where τ (1 + g) was commanded for τ, ε = 1/(1 + g) − 1. Other numbers were fitted in torques
+    as commanded, and are divided by 1 + g.
     """
-    pairs = list(zip(fit.chosen.columns, fit.chosen.values.tolist(), strict=True))
-    gains = {effects.places[p]: 1 + value for p, value in pairs if effects.kinds[p] == "actuator_gain"}
+    values = _named(effects, fit.chosen, servos)
+    sds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
+    own = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
+    sd_of = dict(zip(own, sds, strict=True))
+    fitted = dict(zip(own, fit.chosen.values.tolist(), strict=True))
     found = []
-    for n, (p, value) in enumerate(pairs):
-        kind, sd = effects.kinds[p], float(np.sqrt(max(fit.covariance[n, n], 0.0)))
+    for (kind, place, name), value in values.items():
         if kind == INERTIAL:
             continue
-        commanded = gains.get(effects.places[p], 1.0)
-        if kind == "actuator_gain":
-            sd, value = sd / commanded**2, -value / commanded
+        k, sd = _joints(effects).index(place), sd_of.get((kind, place, name), 0.0)
+        chosen = 1 + fitted.get((GAIN, place, "gain"), 0.0)
+        if kind == GAIN:
+            sd = (1 + value) * math.hypot(sd / chosen, float(servos.sd[k] / servos.factor[k]) if not sd else 0.0)
         else:
-            sd, value = sd / commanded, value / commanded
-        sd, interval = _estimate(float(value), sd, fit.freedom)
-        filed = -float(effects.least[p]) if np.isfinite(effects.least[p]) else 0.0
-        found.append(
-            Estimated(kind, effects.places[p], effects.names[p], float(value), sd, interval, effects.units[p], filed)
-        )
+            sd /= chosen
+        p = own.get((kind, place, name))
+        filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
+        unit = "1" if p is None else effects.units[p]
+        sd, interval = _estimate(value, sd, fit.freedom)
+        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed))
     return found
 
 

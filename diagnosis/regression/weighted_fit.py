@@ -48,7 +48,7 @@ def weighted_fit(
     for p in np.flatnonzero(moving):
         places = kinds.setdefault(effects.kinds[p], {})
         places[effects.places[p]] = (*places.get(effects.places[p], ()), int(p))
-    moves = _moves(motion, rules)
+    moves = _moves(motion, rules) * effects.usable
     weights, noise = moves, np.sqrt((effects.missing**2).mean(0)) + 1e-300
     columns = np.flatnonzero(moving)
     prior = 1 / effects.size[columns] ** 2

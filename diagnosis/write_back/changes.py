@@ -124,7 +124,19 @@ def _moved(e: Estimate, before: float, factor: float = 1.0) -> tuple[float, floa
 def _part(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     """Parts of a joint, to which parameters add."""
     joint, fields = finding.where["joint"], finding.entry.body_file_fields if finding.entry else {}
-    return [_raised(finding, joint, own, name, getattr(_joint(body, joint), own)) for name, own in fields.items()]
+    own = _joint(body, joint)
+    raised = [_raised(finding, joint, part, name, getattr(own, part)) for name, part in fields.items()]
+    return [each for change in raised for each in _with_the_servo(change, own)]
+
+
+def _with_the_servo(change: FileChange, own: JointParts) -> list[FileChange]:
+    """A joint whose servo damps it too may have less damping than none: the servo then has less."""
+    if change.quantity != "damping" or change.after >= 0 or not own.servo_damping:
+        return [change]
+    low, high = (max(0.0, own.servo_damping + end) for end in change.interval_90)
+    servo = replace(change, quantity="servo damping", before=own.servo_damping, interval_90=(low, high))
+    none = replace(change, after=0.0, interval_90=(0.0, max(0.0, change.interval_90[1])))
+    return [none, replace(servo, after=max(0.0, own.servo_damping + change.after))]
 
 
 def _friction(finding: Finding, body: ArticulatedBody) -> list[FileChange]:

@@ -131,6 +131,10 @@ class Writer:
                 return SERVO
             gain = float(self.model.actuator_gainprm[own[0], 0]) * change.after
             self.text.change(element, change.comment, **{key: _said(gain)})
+        elif change.quantity == "servo damping":
+            if element.tag != "position" or "dampratio" in element.attributes:
+                return SERVO
+            self.text.change(element, change.comment, kv=_said(change.after / gear[0] ** 2))
         elif change.quantity == "motor limit":
             force = abs(change.after / gear[0])
             self.text.change(element, change.comment, forcelimited="true", forcerange=f"{_said(-force)} {_said(force)}")

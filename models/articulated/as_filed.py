@@ -126,13 +126,16 @@ def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
     return tuple(found)
 
 
-def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor) -> Tensor:
-    """Torques (..., K) of all motors under a model's ``command`` in states q, q̇, (..., K); servos answer to them."""
+def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor, limited: bool = True) -> Tensor:
+    """Torques (..., K) of all motors under a model's ``command`` in states q, q̇, (..., K); servos answer to them.
+
+    Without their limits where not ``limited``.
+    """
     columns = list(command.unbind(-1))
     for k, parts in enumerate(body.joint_parts):
         if parts is not None and (servo := parts.servo) is not None:
             whole = columns[k] - servo.stiffness * q[..., k] - servo.damping * qd[..., k]
-            columns[k] = whole.clamp(servo.low, servo.high)
+            columns[k] = whole.clamp(servo.low, servo.high) if limited else whole
     return torch.stack(columns, -1)
 
 

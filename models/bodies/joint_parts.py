@@ -103,6 +103,12 @@ class JointParts:
         """Its motor, where that has a target angle or velocity."""
         return self.motor if self.motor is not None and self.motor.kind != "torque" else None
 
+    @property
+    def servo_damping(self) -> float:
+        """D of a servo whose target is an angle, N·m·s/rad: short of its limits it damps as the joint does."""
+        servo = self.servo
+        return servo.damping if servo is not None and servo.kind == "position" else 0.0
+
 
 NUMBERS = ("damping", "friction", "armature", "stiffness", "rest")
 PARTS = {"damping": "N·m·s/rad", "friction": "N·m", "armature": "kg·m²", "stiffness": "N·m/rad"}

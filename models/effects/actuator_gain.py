@@ -18,7 +18,9 @@ from invdyn.models.effects.base import Command, Parameter, Scale, Situation, Val
 from invdyn.models.effects.servo_answer import OfServos, answer_changed
 
 LEAST = -0.8
-"""Least ε: arms without mass under motors that give nearly nothing would explain any recording."""
+"""Least ε of a motor: arms without mass under motors that give nearly nothing would explain any recording."""
+LEAST_OF_SERVO = -0.999
+"""Of a servo, which falls behind its target by what it carries: public files of one arm have gains 56 apart."""
 GEARS = 15.0
 """Order of ε for a gear that was left out; robots' gears have ratios from a few to a hundred and sixty."""
 LEFT_OUT = 1.0
@@ -39,7 +41,8 @@ class ActuatorGain(Actuator, OfServos):
         """Excess ε, a pure number; some gears are not what was written down, or were left out."""
         if self.form:
             return (Parameter("gain", "1", HalfNormal(GEARS), least=LEFT_OUT),)
-        return (Parameter("gain", "1", StudentT(3.0, 0.0, 0.15), least=LEAST),)
+        servos = all(k in self.servos for k in self.place) and bool(self.place)
+        return (Parameter("gain", "1", StudentT(3.0, 0.0, 0.15), least=LEAST_OF_SERVO if servos else LEAST),)
 
     def command(self, p: Values, command: Command) -> Command:
         """(1 + ε) u."""

@@ -68,6 +68,11 @@ class Scale:
         own = self.parts[joint] if joint < len(self.parts) else None
         return 0.0 if own is None else float(getattr(own, quantity))
 
+    def servo_damping(self, joint: int) -> float:
+        """How much a servo of the simulation's own joint damps it, N·m·s/rad."""
+        own = self.parts[joint] if joint < len(self.parts) else None
+        return 0.0 if own is None else own.servo_damping
+
     @cached_property
     def torque(self) -> list[float]:
         """Per joint, N·m; a body that no gravity loads has the size of its commands to go by, where there are any."""

@@ -18,7 +18,8 @@ class ViscousFriction(Effect):
         """Damping b, N·m·s/rad."""
         j = self.place[0]
         typical = 0.2 * scale.torque[j] / scale.speed[j]
-        return (change("damping", "N·m·s/rad", typical, scale.filed("damping", j), SHARES),)
+        filed = scale.filed("damping", j) + scale.servo_damping(j)
+        return (change("damping", "N·m·s/rad", typical, filed, SHARES),)
 
     def force(self, p: Values, now: Situation) -> Tensor:
         """−b θ̇."""

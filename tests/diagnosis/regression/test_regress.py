@@ -13,7 +13,7 @@ from invdyn.diagnosis.regression.measured_motion import held_mean, measured_moti
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.models import Link, planar_body
-from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
@@ -254,3 +254,46 @@ def test_a_joint_that_is_missing_at_first_does_not_mislead():
     result = regress(replace(whole, angles=angles), BODY)
     assert found(result)["coulomb_friction", "elbow", "torque"].value == pytest.approx(0.25, rel=0.15)
     assert result.torque.share > 0.85
+
+
+def halfway(motion, values):
+    """Values (T, 2) half a row later, as what is constant until the next row has them in the mean."""
+    later = motion.time + 0.5 / RATE
+    return np.stack([np.interp(later, motion.time, each) for each in values.T], -1)
+
+
+@pytest.mark.parametrize("times", [1.0, 1.2, 40.0])
+def test_a_servos_gain_is_found_however_far_from_its_files(times):
+    """A file with a kp so many times the robot's, and friction at both joints: all in the file's own units."""
+    motor = Motor("position", 60.0 * times, 60.0 * times, 0.4, low=-1e3, high=1e3)
+    parts = JointParts(damping=0.1, motor=motor)
+    body = replace(BODY, links=tuple(replace(link, parts=parts) for link in BODY.links))
+    motion = Motion(20)
+    extra = friction(motion)
+    plain = recorded(20, friction, torque_noise=0.02)
+    # what the robot's servo gives moves it: 60 (c − q) − .4 q̇ − .1 q̇ = τ + friction
+    target = halfway(motion, motion.q + (plain.torques + 0.5 * motion.qd) / 60.0)
+    rows = replace(plain, torques=motor.gain * target)
+    result = regress(rows, body)
+    own = found(result)
+    assert extra.any()
+    for joint, damping, level in zip(BODY.joint_names, (0.3, 0.1), (0.5, 0.25), strict=True):
+        gain = own.get(("actuator_gain", joint, "gain"))
+        assert 1 + (0.0 if gain is None else gain.value) == pytest.approx(1 / times, rel=0.05)
+        assert own["coulomb_friction", joint, "torque"].value == pytest.approx(level, rel=0.15)
+        assert own["viscous_friction", joint, "damping"].value == pytest.approx(damping, rel=0.25)
+    assert result.torque.share > 0.85
+
+
+def test_rows_in_which_a_servo_is_at_its_limit_say_nothing():
+    """A third of the rows ask for more than the servo gives; friction is found by the others."""
+    whole = recorded(21, friction, torque_noise=0.02)
+    motion = Motion(21)
+    limit = float(np.quantile(np.abs(whole.torques), 0.8))
+    motor = Motor("position", 60.0, 60.0, 0.0, low=-limit, high=limit)
+    parts = JointParts(motor=motor)
+    body = replace(BODY, links=tuple(replace(link, parts=parts) for link in BODY.links))
+    beyond = np.abs(whole.torques) > limit
+    target = halfway(motion, motion.q + np.where(beyond, 3.0 * whole.torques, whole.torques) / 60.0)
+    own = found(regress(replace(whole, torques=60.0 * target), body))
+    assert own["coulomb_friction", "shoulder", "torque"].value == pytest.approx(0.5, rel=0.25)

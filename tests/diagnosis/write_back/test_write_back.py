@@ -362,3 +362,12 @@ def test_urdf_says_masses_and_moments_of_a_link_by_itself():
         assert new == text.encode()
         assert set(unsaid.values()) == {urdf.BY_HAND}
         assert len(unsaid) == len(changes)
+
+
+def test_less_damping_than_a_joint_has_is_its_servos(file):
+    """kv of 3 and damping of .3: 2.6 less is kv of .7 and none of the joint's."""
+    file.write_text(robot(servo=True))
+    _old, new, _text, unsaid = changed(file, finding("viscous_friction", {"joint": "shoulder"}, damping=-2.6))
+    assert not unsaid
+    assert new.actuator_biasprm[0, 2] == pytest.approx(-0.7)
+    assert new.dof_damping[0] == 0.0

@@ -1,0 +1,68 @@
+"""How far gains of position servos are from their file's, before anything else is fitted.
+
+A servo falls behind its target by the torque that it gives. Public files of one arm have gains that differ by 56 times,
+which no expansion about the file's gain describes. So a regression is made about a gain that is estimated first:
+
+    s = K (c − q) = γ τ + Xβ + e,     τ what the file asks for,     X = (q̇, sgn q̇, q̈, 1)
+
+It is a regression of s on τ, and not of τ on s, as all that the file lacks moves s and not τ (instrumental variables).
+The true gain is K/γ. Within a factor of two of the file's it stays 1, and the regression itself finds the rest. Rows in
+which the file's servo would be at its limits either tell nothing, or are like others, as its gain is less. Of the two,
+that is taken which leaves less of what the servo then gives, s/γ within its limits.
+
+Shapes: R rows, K joints. Units: rad, s, N·m.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.rules import FIXED
+
+
+@dataclass(frozen=True)
+class ServoGains:
+    """Of each joint γ (K,), 1 where nothing is to be changed, and its standard error."""
+
+    factor: np.ndarray
+    sd: np.ndarray
+
+    @property
+    def changed(self) -> np.ndarray:
+        """(K,) whether a gain is another than the file's."""
+        return self.factor != 1.0
+
+
+def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> ServoGains:
+    """Gains of a body's position servos, from what its file asks of all joints, ``required`` (R, K)."""
+    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
+    factor, error = np.ones(len(every)), np.zeros(len(every))
+    for k, parts in enumerate(every):
+        if parts is None or (servo := parts.servo) is None or servo.kind != "position":
+            continue
+        limits, qd, asked = (servo.low, servo.high), motion.qd[:, k], motion.asked[:, k]
+        X = np.stack([required[:, k], qd, np.sign(qd), motion.qdd[:, k], np.ones(len(qd))], -1)
+        given = asked - motion.servo_drag[:, k]
+        rows = [(given > servo.low) & (given < servo.high), np.ones(len(qd), bool)]
+        fits = [_regressed(X, asked, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
+        _, gamma, sd = min(fits, default=(0.0, 1.0, 0.0))
+        if gamma > 0 and abs(math.log(gamma)) > FIXED.linear_servo_gain:
+            factor[k], error[k] = gamma, sd
+    return ServoGains(factor, error)
+
+
+def _regressed(
+    X: np.ndarray, asked: np.ndarray, limits: tuple[float, float], rows: np.ndarray
+) -> tuple[float, float, float]:
+    """Rms N·m that is left of all rows, γ and its standard error, by some ``rows``."""
+    unit = np.maximum(np.sqrt((X[rows] ** 2).mean(0)), 1e-300)
+    values, *_ = np.linalg.lstsq(X[rows] / unit, asked[rows], rcond=None)
+    fitted = X / unit @ values
+    inverse = np.linalg.pinv(X[rows].T @ X[rows] / np.outer(unit, unit))
+    gamma = float(values[0] / unit[0])
+    sd = math.sqrt(float(inverse[0, 0] * ((asked - fitted)[rows] ** 2).mean())) / float(unit[0])
+    left = np.clip(asked / gamma, *limits) - fitted / gamma
+    return float(np.sqrt((left**2).mean())) if gamma > 0 else math.inf, gamma, sd
