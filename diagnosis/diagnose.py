@@ -19,11 +19,12 @@ from typing import Any
 import arviz as az
 
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
-from invdyn.diagnosis.assessment.closing_measures import measured
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION, measured
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
+from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, plain
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
@@ -243,6 +244,8 @@ def diagnose(
     closing = None if said is None else measured(said, there.cause, complete, body, passive, rules)
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
     result = replace(result, regression=said, closing=closing)
+    if said is not None and closing is not None and closing.shown == REGRESSION:
+        result = replace(result, regressed=regression_cause(said, bound, passive))
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})
     if refused:

@@ -6,7 +6,7 @@ first, and the search goes on from there. Such an effect counts as one statement
 (:func:`.prior.log_prior_of`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,6 +35,14 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     everywhere = frozenset("joint_stiffness" if effect == "constant_torque" else effect for effect in stated)
     if not everywhere & JOINT_KINDS.keys():
         return Start()
+    found = regressed(regression, problem, passive)
+    return replace(found, everywhere=everywhere & {effect.name for effect in found.effects})
+
+
+def regressed(regression: Regression, problem: DiagnosisProblem, passive: bool) -> Start:
+    """All that a regression found, as effects of the catalogue with their numbers."""
+    if regression.unseen is None:
+        return Start()
     nominal = model_on(regression.unseen.motion, problem.model.body, passive)
     model = with_coefficients(nominal, regression.coefficients)
     values = {
@@ -59,4 +67,4 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     kept = tuple(effect for effect in effects if effect.key in known)
     keys = {effect.key for effect in kept}
     values = {name: value for name, value in values.items() if name.rpartition(".")[0] in keys and np.isfinite(value)}
-    return Start(kept, values, everywhere & {effect.name for effect in kept})
+    return Start(kept, values)

@@ -14,7 +14,7 @@ Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -89,8 +89,9 @@ class Unseen:
 class Regression:
     """What a regression says: effects, their numbers, and how much of the missing torque they explain.
 
-    `joints` are the names of K; `torque` is of the held-out rows that `unseen` has, and so is `plain`, of viscous and
-    Coulomb friction at all joints alone.
+    `joints` are the names of K. `coefficients` are all numbers, of links that move as one each by itself, and `draws`
+    are from their Gaussian, always of the same seed. `torque` is of the held-out rows that `unseen` has, and so is
+    `plain`, of viscous and Coulomb friction at all joints alone.
     """
 
     joints: tuple[str, ...]
@@ -101,6 +102,7 @@ class Regression:
     rows: int
     coefficients: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
     unseen: Unseen | None = field(default=None, repr=False, compare=False)
+    draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(default=(), repr=False, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
@@ -158,8 +160,27 @@ def regress(
     plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
     there = Unseen(last, _named(known, fits[best].chosen, gains), unseen.of_file, left[best], known.cutoff, memory)
     return Regression(
-        body.joint_names, stated, numbers, torque, plain, len(motion.time), _named(whole, fit.chosen, gains), there
+        body.joint_names,
+        stated,
+        numbers,
+        torque,
+        plain,
+        len(motion.time),
+        _named(whole, fit.chosen, gains),
+        there,
+        _drawn(whole, fit, gains),
     )
+
+
+def _drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[dict[tuple[str, str, str], float], ...]:
+    """Numbers of draws from the Gaussian of the coefficients."""
+    if not fit.chosen.columns:
+        return ()
+    rng = np.random.default_rng(0)
+    values = rng.multivariate_normal(fit.chosen.values, fit.covariance, FIXED.regression_draws, method="eigh")
+    floor = effects.least[list(fit.chosen.columns)]
+    every = (replace(fit.chosen, values=np.maximum(each, floor)) for each in values)
+    return tuple(_named(effects, each, servos) for each in every)
 
 
 def _stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, body: Any) -> tuple[Stated, ...]:

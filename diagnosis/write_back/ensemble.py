@@ -64,6 +64,8 @@ def drawn(diagnosis: Diagnosis, members: int, seed: int) -> list[Cause | None]:
     rng = np.random.default_rng([seed, members])
     causes = [c for c in diagnosis.causes if c.probability + c.in_part > 0] if diagnosis.gap.detected else []
     weights = np.array([c.probability + c.in_part for c in causes])
+    if diagnosis.regressed is not None:
+        causes, weights = [diagnosis.regressed], np.ones(1)
     found: list[Cause | None] = []
     for _ in range(members):
         pick, place = rng.random(), int(rng.integers(2**31))

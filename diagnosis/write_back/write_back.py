@@ -102,8 +102,11 @@ def rewritten(
 def best(diagnosis: Diagnosis) -> Cause | None:
     """The cause that most speaks for, by itself or in part; None where it changes no number of the file.
 
-    Without a gap that is no effect, with the joints' and links' numbers that were learned.
+    Without a gap that is no effect, with the joints' and links' numbers that were learned. Where the regression is the
+    answer that is shown, it is the cause.
     """
+    if diagnosis.regressed is not None:
+        return diagnosis.regressed
     causes = [c for c in diagnosis.causes if diagnosis.gap.detected or not c.effects]
     cause = max(causes, key=lambda c: c.probability + c.in_part, default=None)
     if cause is None or not (cause.effects or any(map(in_files, cause.learned))):
