@@ -244,7 +244,7 @@ def diagnose(
     closing = None if said is None else measured(said, there.cause, complete, body, passive, rules)
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
     result = replace(result, regression=said, closing=closing)
-    if said is not None and closing is not None and closing.shown == REGRESSION:
+    if robot and said is not None and closing is not None and closing.shown == REGRESSION:
         result = replace(result, regressed=regression_cause(said, bound, passive))
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})

@@ -238,7 +238,8 @@ class Diagnosis:
     change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
     looked for in space. `posture` is what a picture of the body draws. `regression` says what a regression of the
     torque does, and `closing` how much of the missing torque, and of a replay's error, it and the search explain; None
-    where torques are unknown. `regressed` is the regression as a cause, where it is the answer that is shown.
+    where torques are unknown. `regressed` is the regression as a cause, where it is the answer of a
+    robot's log.
     `length_unit` is the recording's, such as "body length": m stands for it in all units, of torques too. In
     :meth:`to_json` `Cause.in_part` is
     "probability_in_part", `outside` "outside_catalogue" and an interval's `stop` its "end".

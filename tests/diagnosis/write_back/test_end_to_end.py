@@ -57,6 +57,29 @@ def test_damping_of_a_file_is_corrected(tmp_path):
     assert number["range_90"][1] - number["range_90"][0] == pytest.approx(width, rel=0.25)
 
 
+@pytest.mark.long
+def test_a_robots_file_follows_the_regression_where_that_explains_more(tmp_path):
+    """One effect at most is searched for, where joints lack damping and dry friction: the regression has them all."""
+    file, copy = tmp_path / "robot.xml", tmp_path / "corrected.xml"
+    file.write_text(robot())
+    body = Body.load(file)
+    true = robot().replace('damping="0.1"', 'damping="0.35" frictionloss="0.3"')
+    true = true.replace('damping="0.3"', 'damping="0.6"')
+    log, held_out = (play(true, 3.0, seed).at(slice(None, None, 2)) for seed in (0, 1))
+    found = diagnose(log, body, without=[name for name in EFFECTS if name not in KEPT], most=1, robot=True)
+    assert found.closing.shown == "regression"
+    written = write_back(found, file, body, copy, held_out, True).written
+    to = {(each["place"], each["quantity"]): each["to"] for each in written.changes}
+    numbers = {(e.place, e.parameter): e.value for e in found.regression.numbers if e.effect == "viscous_friction"}
+    assert to["elbow", "damping"] == pytest.approx(0.1 + numbers["elbow", "damping"])
+    assert to["shoulder", "damping"] == pytest.approx(0.3 + numbers["shoulder", "damping"])
+    assert written.rollout["total_rms_rad"]["after"] < 0.3 * written.rollout["total_rms_rad"]["before"]
+    (tmp_path / "robots").mkdir()
+    ranges = write_ensemble(found, file, body, tmp_path / "robots", 50)["numbers"]
+    drawn = {(n["place"], n["quantity"]): n["mean"] for n in ranges}
+    assert drawn["elbow", "damping"] == pytest.approx(to["elbow", "damping"], abs=0.1)
+
+
 def test_a_name_that_would_not_serve_is_refused_before_the_work(tmp_path):
     file = tmp_path / "robot.xml"
     file.write_text(robot())
