@@ -40,6 +40,8 @@ COMMANDS = {
     "against_sensors_kuka": 'against_sensors.py "kuka 1" "kuka 2" --results build/kuka.jsonl',
     "what_is_off": "what_is_off.py",
     "reaches": "reaches.py --first 5000 --reaches 60 --smc 0 --results build/reaches.jsonl",
+    "study_size": "study.py size",
+    "study_pooling": "study.py pooling",
     "filters": "filters.py",
     "gpu": "gpu.py",
     "ladder": "ladder.py",

@@ -2,6 +2,7 @@
 
     python benchmarks/study.py size             180 trials: 3 subjects, 3 sessions, 2 conditions, one bad session
     python benchmarks/study.py coverage         100 small studies, half of them without an effect
+    python benchmarks/study.py pooling          the same of 400 studies whose trials' estimates are drawn, not inferred
     python benchmarks/study.py kill             one study, killed ten times and resumed
 
 An arm hangs; a torque lifts it, sin² in time, whose size the condition changes by `EFFECT`, and by another share in
@@ -26,7 +27,9 @@ import torch
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.functionals import path_functionals
 from invdyn.inference.smoothing.linearised import gaussian_smoother
+from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.run import run_study
+from invdyn.inference.study.study import FOUND
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import bound, parameters_of
 from invdyn.inputs import load_body
@@ -201,6 +204,34 @@ def coverage(count):
     print(f"| CPU s a study of 18 trials | {(time.process_time() - begun) / count:.1f} |")
 
 
+def pooling(count):
+    """Intervals where trials' errors are as stated: what is left to err is the pooling."""
+    print("\n| subjects, sessions, trials a cell | effect's sd between subjects | 90 % holds it | found | width, N·m |")
+    print("|---|---|---|---|---|")
+    own, error = np.hypot(SIZE[0] * TRIAL_DIFFERS, SCALE[0] / np.sqrt(2 * DECAY)), 0.12
+    for subjects, sessions, trials, effect, differs in (
+        (3, 1, 3, EFFECT, 0.08),
+        (3, 1, 3, EFFECT, DIFFERS),
+        (3, 1, 3, EFFECT, EFFECT),
+        (3, 1, 3, 0.0, 0.0),
+    ):
+        rng, held, found, width = np.random.default_rng(0), [], [], []
+        cells = np.array([(a, b, c) for a in range(subjects) for b in range(sessions) for c in (0, 1)]).repeat(
+            trials, 0
+        )
+        for _ in range(count):
+            size, gain = rng.normal(1.0, SIZE_DIFFERS, subjects), rng.normal(effect, differs, subjects)
+            y = size[cells[:, 0]] + cells[:, 2] * gain[cells[:, 0]] + rng.normal(0, np.hypot(own, error), len(cells))
+            labels = cells.T.astype(str)
+            mixture = pool(y, np.full(len(y), error), labels[2], labels[0], labels[1]).difference("0", "1")
+            low, high = mixture.quantile(0.05), mixture.quantile(0.95)
+            held.append(low <= effect <= high)
+            found.append(mixture.direction >= FOUND)
+            width.append(high - low)
+        numbers = f"{np.mean(held):.3f} | {np.mean(found):.3f} | {np.mean(width):.2f}"
+        print(f"| {subjects}, {sessions}, {trials}, effect {effect} | {differs} | {numbers} |")
+
+
 def kill(times):
     """The command killed so many times, at places spread over its work, against one that was left alone."""
     with tempfile.TemporaryDirectory() as place:
@@ -251,13 +282,19 @@ def shown(done, total, what):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("size", "coverage", "kill"), nargs="*", default=["size", "coverage", "kill"])
+    parts = {
+        "size": size,
+        "coverage": lambda: coverage(options.studies),
+        "pooling": lambda: pooling(400),
+        "kill": lambda: kill(options.kills),
+    }
+    parser.add_argument("what", choices=parts, nargs="*", default=list(parts))
     parser.add_argument("--studies", type=int, default=100)
     parser.add_argument("--kills", type=int, default=10)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     for what in options.what:
-        {"size": size, "coverage": lambda: coverage(options.studies), "kill": lambda: kill(options.kills)}[what]()
+        parts[what]()
 
 
 if __name__ == "__main__":

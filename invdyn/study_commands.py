@@ -62,14 +62,13 @@ def run_trials(
     **options: Any,
 ) -> "Study":
     """What :func:`invdyn.trials` does."""
-    named = isinstance(body, str | Path)
     where = "." if not isinstance(table, str | Path) else str(table)
-    given = ManyTrials(recordings=[where], body=str(body) if named else None, **options)
+    given = ManyTrials(recordings=[where], body=str(body) if isinstance(body, str | Path) else None, **options)
     given.check(method)
     rows = read_rows(given) if isinstance(table, str | Path) else checked(table.astype(str).to_dict("records"), "table")
     from invdyn.inference.study.run import run_study
 
-    read = read_trials(rows, given, None if named or body is None else body, progress)
+    read = read_trials(rows, given, None if isinstance(body, str | Path) else body, progress)
     with open_workers(None if workers is None else str(workers)) as executor:
         kept = given.checkpoint
         return run_study(read, how(given, method), executor=executor, checkpoint=kept, progress=progress)

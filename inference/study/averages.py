@@ -52,12 +52,12 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
         unit = unit if known["turns"][k] else unit.replace("N·m", "N")
         for n, time in enumerate(times):
             there = np.isfinite(mean[:, n, k])
-            labels = [
-                np.array([getattr(trials[place], name) for place in own])[there] for name in ("subject", "session")
-            ]
+            subject, session = (
+                np.array([getattr(trials[i], each) for i in own])[there] for each in ("subject", "session")
+            )
             if there.sum() < MIN_TRIALS:
                 continue
-            pooled = pool(mean[there, n, k], spread[there, n, k], levels[there], *labels, sets=SETS)
+            pooled = pool(mean[there, n, k], spread[there, n, k], levels[there], subject, session, SETS)
             for level in pooled.levels:
                 average, further = pooled.average(level), pooled.new_trial(level)
                 numbers = {"mean": average.mean, "q05": average.quantile(INTERVAL[0])}

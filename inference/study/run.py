@@ -57,8 +57,8 @@ def run_study(
 
     def run(part: Any, places: Sequence[int], arguments: list[tuple], what: str) -> list[Tensors]:
         names = [f"{what} of {trials[place].name}" for place in places]
-        where = {"executor": executor, "checkpoint": inside(kept, what)}
-        return distribute(part, arguments, names, **where, progress=stage(progress, what))
+        own, report = inside(kept, what), stage(progress, what)
+        return distribute(part, arguments, names, executor=executor, checkpoint=own, progress=report)
 
     read = [place for place in range(len(trials)) if place not in left_out]
     alone = run(fit_trial, read, [(trials[place], how) for place in read], "fit")
@@ -66,7 +66,7 @@ def run_study(
     left_out |= _reasons(fits)
 
     groups = _groups(trials, {place: fit for place, fit in fits.items() if place not in left_out})
-    work = [([trials[i] for i in members], [fits[i] for i in members], how) for members in groups]
+    work: list[tuple] = [([trials[i] for i in members], [fits[i] for i in members], how) for members in groups]
     shared = run(share_session, [members[0] for members in groups], work, "session")
     sessions = tuple(zip(groups, shared, strict=True))
     for members, part in sessions:
