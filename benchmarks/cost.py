@@ -204,7 +204,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.long:
         long_recordings(arguments.long)
-    elif arguments.one:
+        return
+    if arguments.one:
         row = measure(*arguments.one, arguments.joints, arguments.keep, arguments.refits, arguments.threads)
         print(json.dumps({name: round(value, 3) for name, value in row.items()}, ensure_ascii=False))
         return

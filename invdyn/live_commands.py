@@ -48,7 +48,7 @@ def live(
     """
     from .input_names import check_exist
 
-    check_exist(calibration, *([] if source == "-" else [source]), body=body)
+    check_exist(str(calibration), *([] if source == "-" else [source]), body=body)
 
     from invdyn.inference import ChangeTest, LiveArm
 

@@ -138,8 +138,9 @@ class LogParameters(Generic[M]):
             start = self.model.parameters[f.name]
             off = (value / start).log() if f.unit is None else (value - start) / f.unit
             own = off.flatten()[list(f.indices(start.numel()))].double()
-            phi[index] = own.mean().item() if f.tied else own.numpy()
-        return np.nan_to_num(phi, posinf=0.0, neginf=0.0)
+            own = torch.where(own.isfinite(), own, torch.nan)  # entries that are 0, as of a root, tell nothing
+            phi[index] = own.nanmean().item() if f.tied else own.numpy()
+        return np.nan_to_num(phi)
 
     def at(self, phi: Tensor) -> M:
         """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""

@@ -49,9 +49,11 @@ class ChangeTest:
 
     def restart(self) -> None:
         """Forget all rows, as after an alarm, or when the window has started again."""
-        self._number = 0
+        self._number = self.since = 0
         self.log_ratio = -math.inf
-        self._wider = self._sums = self._counts = np.zeros((0, 0))
+        self._wider: np.ndarray = np.zeros(0)
+        self._sums: np.ndarray = np.zeros((0, 0))
+        self._counts: np.ndarray = np.zeros((0, 0))
 
     def add(self, innovation: np.ndarray) -> bool:
         """Take the innovation (O,) of a row, and return whether there is an alarm.

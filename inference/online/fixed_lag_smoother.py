@@ -24,6 +24,7 @@ Shapes: states D, entries of a row O. All in float64; memory and the work for a 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -49,7 +50,7 @@ WINDOW = 6
 SETTLED, STEPS = 3.0, 3
 """A row's steps of Gauss–Newton end when none moves a state by that many of its standard deviations, or after these."""
 
-WithInputs = Callable[[StateSpaceModel, np.ndarray], StateSpaceModel]
+WithInputs = Callable[[Any, np.ndarray], StateSpaceModel]
 """From a model of T rows and their inputs (T, I) to the model that has them."""
 
 
@@ -111,7 +112,7 @@ class Online:
         lag: int,
         *,
         with_inputs: WithInputs | None = None,
-        at_start: Callable[[StateSpaceModel, Tensor], StateSpaceModel] | None = None,
+        at_start: Callable[[Any, Tensor], StateSpaceModel] | None = None,
     ):
         self.size = max(lag + 1, WINDOW)
         if lag < 0 or model.num_steps <= self.size:
@@ -274,7 +275,7 @@ class Online:
         gain, offset, root = conditional(R, B, r, linear.L[0])
         mean = apply(linear.F[0], apply(gain, linear.m0) + offset) + linear.a[0]
         both = np.concatenate([linear.F[0] @ root, linear.L[1]], -1)
-        root = np.linalg.qr(both.T, mode="r").T
+        root = np.asarray(np.linalg.qr(both.T, mode="r")).T
         self._prior = self._about[1] + torch.as_tensor(mean), torch.as_tensor(root)
         self._path, self._covariance = self._path[1:], self._covariance[1:]
         for each in (self._rows, self._inputs, self._innovations):

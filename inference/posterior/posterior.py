@@ -166,7 +166,7 @@ def _of_paths(problem: StateSpaceProblem, paths: Tensor) -> tuple[Contents, np.n
         group: {name: (dims, stored[group, name]) for name, (dims, _) in variables.items()}
         for group, variables in of_draws.items()
     }
-    return replace(contents, **whole), stored["likelihood", "y"]
+    return replace(contents, posterior=whole["posterior"], predictive=whole["predictive"]), stored["likelihood", "y"]
 
 
 UNITS = {

@@ -142,7 +142,7 @@ def _likelihoods(
     """U, b and log_c of all rows, or of the first alone: the one part that takes rows in turn."""
     batch, (steps, rows, dim) = E.shape[:-3], E.shape[-3:]
     if rows > dim + 1:
-        seen = np.linalg.qr(np.concatenate([E, e[..., None]], -1), mode="r")
+        seen = np.asarray(np.linalg.qr(np.concatenate([E, e[..., None]], -1), mode="r"))
         E, e, rows = seen[..., :-1], seen[..., -1], dim + 1
     kept, inner, width = steps if keep else 1, 2 * dim, 2 * dim + 1
     U, b = np.zeros((*batch, kept, dim, dim)), np.zeros((*batch, kept, dim))

@@ -104,6 +104,19 @@ def test_it_finds_the_kalman_filters_optimum(chain, y):
     assert found.path.numpy() == pytest.approx(path, abs=1e-6)
 
 
+def test_a_fit_that_begins_elsewhere_ends_at_the_same_optimum(chain, y):
+    """From parameters of another fit, by name; the prior's centre stays."""
+    model, rows = chain.model(STEPS), torch.as_tensor(y)
+    plain = fit(model, rows, FREE)
+    begin = {each.name: 1.5 * plain.model.parameters[each.name] for each in FREE}
+    other = fit(model, rows, FREE, begin=begin)
+    sd = np.sqrt(np.diagonal(plain.covariance))
+    assert np.abs(other.phi - plain.phi).max() < 0.2 * sd.min()
+    assert other.log_marginal == pytest.approx(plain.log_marginal, abs=0.02)
+    objective = Objective(model, rows, FREE, None)
+    assert objective.parameters.of(plain.model.parameters) == pytest.approx(plain.phi, abs=1e-9)
+
+
 def test_entries_apart():
     """Every entry of a parameter that is not tied has its own factor."""
     one = np.eye(2)

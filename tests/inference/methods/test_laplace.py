@@ -1,13 +1,19 @@
 """The Gaussian smoother as a method."""
 
+from functools import partial
+from importlib import import_module
+
 import numpy as np
 import pytest
 from grids import grid_posterior
 from one_state import Counts, Growth, Multiplicative
 
 from invdyn.inference import SMCOptions, infer, infer_states, pooled
+from invdyn.inference.posterior import posterior
 from invdyn.models import Link, planar_body
 from invdyn.recordings import InputError, Recording
+
+module = import_module("invdyn.inference.methods.laplace")  # the package's attribute is the function
 
 
 def record():
@@ -45,6 +51,29 @@ def test_draws_are_as_many_as_requested():
     idata = infer(record(), arm, method="laplace", num_filters=3, num_draws=5, settings=KNOWN)
     assert idata["posterior"]["torque"].shape == (3, 5, 15, 1)
     assert SMCOptions().num_filters * SMCOptions().num_draws == 256
+
+
+def test_a_long_recording_comes_in_blocks_and_in_single_precision(monkeypatch):
+    arm = planar_body("arm", [Link("l", "shoulder", "elbow", length=0.5, mass=2.0)])
+    run = partial(infer, record(), arm, method="laplace", num_filters=5, num_draws=4, settings=KNOWN)
+    whole = run()
+    monkeypatch.setattr(posterior, "SINGLE_FROM", 1)
+    monkeypatch.setattr(posterior, "AT_ONCE", 2 * 4 * 15 * 3)
+    parts = run()
+    for group, name in (("posterior", "torque"), ("posterior", "position"), ("log_likelihood", "y")):
+        assert parts[group][name].dtype == np.float32
+        assert parts[group][name].values == pytest.approx(whole[group][name].values, rel=1e-4, abs=1e-4)
+    noise = (parts["posterior_predictive"]["position"] - parts["posterior"]["position"]).std()
+    assert noise == pytest.approx(KNOWN["emission.keypoint_scale"], rel=0.1)
+
+
+def test_fewer_paths_of_a_very_long_recording_are_said(monkeypatch):
+    arm = planar_body("arm", [Link("l", "shoulder", "elbow", length=0.5, mass=2.0)])
+    monkeypatch.setattr(module, "MAX_NUMBERS", 15 * 3 * 20)
+    monkeypatch.setattr(module, "MIN_PATHS", 8)
+    with pytest.warns(UserWarning, match="laplace draws 16 paths of this long recording, of 32"):
+        idata = infer(record(), arm, method="laplace", num_filters=8, num_draws=4, settings=KNOWN)
+    assert idata["posterior"].sizes["chain"] * idata["posterior"].sizes["draw"] == 16
 
 
 def test_a_linearisation_in_a_wrong_mode_is_not_usable():

@@ -6,7 +6,8 @@ import pytest
 from oracles import CHAIN_DIM as DIM
 from oracles import chain_numbers
 
-from invdyn.inference.smoothing.square_root import backward, forward_covariance, forward_mean
+from invdyn.inference.smoothing import square_root
+from invdyn.inference.smoothing.square_root import backward, forward_covariance, forward_mean, log_evidence
 
 
 def assert_agrees(numbers, rtol=1e-9):
@@ -16,6 +17,7 @@ def assert_agrees(numbers, rtol=1e-9):
     assert forward_mean(factors, numbers[5]) == pytest.approx(mean, rel=rtol, abs=rtol * scale)
     assert forward_covariance(factors) == pytest.approx(cov, rel=rtol, abs=rtol * scale**2)
     assert factors.log_evidence == pytest.approx(log_integral, rel=rtol, abs=1e-9)
+    assert log_evidence(*numbers) == pytest.approx(factors.log_evidence, rel=1e-12, abs=1e-12)
     return factors
 
 
@@ -84,6 +86,25 @@ def test_evidence_against_the_kalman_filter_with_its_normalisers():
     means, covs = oracles.rts(chain, y)
     assert forward_mean(factors, chain.m) == pytest.approx(means, abs=1e-9)
     assert forward_covariance(factors) == pytest.approx(covs, abs=1e-9)
+
+
+@pytest.mark.parametrize("rows", [2, 6])
+def test_blocks_of_rows_join(rows, monkeypatch):
+    """Transitions are prepared by blocks, here of three rows; more entries than states are condensed first."""
+    monkeypatch.setattr(square_root, "BLOCK", 3)
+    assert_agrees(chain_numbers(1, rows=rows, extra=2, steps=9))
+
+
+def test_factors_move_with_the_path_they_are_about():
+    """Deviations from another path: the same posterior, and the same evidence."""
+    numbers = chain_numbers(3, rows=2, extra=2)
+    F, a, L, E, e, m0, V = numbers
+    shift = np.random.default_rng(0).normal(size=(len(L), DIM))
+    moved = backward(*numbers).seen_from(shift)
+    onward = np.einsum("tij,tj->ti", F, shift[:-1])
+    there = backward(F, a + onward - shift[1:], L, E, e - np.einsum("tij,tj->ti", E, shift), m0 - shift[0], V)
+    for name in ("b", "alpha", "offset", "a", "log_c", "log_n", "log_evidence"):
+        assert getattr(moved, name) == pytest.approx(getattr(there, name), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("extra", [0, 2])
