@@ -15,14 +15,15 @@ from invdyn.inference import (
     Bootstrap,
     Controlled,
     ParticleFilter,
+    SMCOptions,
     backward_mcmc,
     backward_simulation,
     filter_rows,
     gauss_newton,
     infer_states,
-    particle_gibbs_sampler,
 )
 from invdyn.inference.contract import ModelError
+from invdyn.inference.mcmc.particle_gibbs import run_chains
 
 T = 12
 
@@ -126,9 +127,8 @@ def test_backward_sampling(case, kind):
 @pytest.mark.parametrize("threshold", [0.5, 1.0])
 def test_particle_gibbs(case, threshold):
     model, y, exact = case
-    paths = particle_gibbs_sampler(
-        model, y, num_particles=8, num_chains=2000, num_draws=1, warmup=15, seed=3, ess_threshold=threshold
-    )
+    options = SMCOptions(2000, 8, ess_threshold=threshold)
+    paths = run_chains(model, y, options, None, seed=3, warmup=15, sweeps=16)["paths"]
     assert paths.shape == (2000, 1, T, 1)
     assert_smoothed(paths, exact, 2000)
 
