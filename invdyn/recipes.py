@@ -9,7 +9,7 @@ import typer
 
 RECIPES: dict[str, dict[str, Any]] = {
     "mouse": {"kinematic": True, "learn": ["lengths"], "noise": "student_t"},
-    "reach": {"torque": "auto", "noise": "student_t"},
+    "reach": {"noise": "student_t"},
 }
 """Name -> option, by its name in `infer` -> value."""
 

@@ -38,9 +38,9 @@ def test_its_values_are_known(name):
 
 
 def test_what_is_given_takes_precedence():
-    given = parameters("--noise", "gaussian", "--recipe", "reach")
+    given = parameters("--noise", "gaussian", "--recipe", "mouse")
     assert given["noise"] == "gaussian"
-    assert given["torque"] == RECIPES["reach"]["torque"]
+    assert given["learn"] == RECIPES["mouse"]["learn"]
 
 
 def test_another_name_is_refused(run):
