@@ -4,7 +4,8 @@
                 other sign; NaN where the trial begins above that                                             s
     at <event>  τ at the event's time, linear between rows; NaN outside of the recording                      N·m
 
-The others are those of :mod:`.functionals`: peak, peak_time, impulse, peak_rate, work, mean_power. A quantity that more
+The others are those of :mod:`.functionals`: peak, peak_time, impulse, peak_rate, work, mean_power. Times count from the
+trial's first row, as recordings begin at other times of their clocks. A quantity that more
 than half of the draws do not have is missing (NaN); else it is stated of the draws that have it. A peak whose sign
 differs between draws has two places, and its mean is neither: where the less frequent sign has a share of `BOTH_SIGNS`
 or more, peak, its time and the onset are missing, too.
@@ -36,7 +37,8 @@ def quantities(idata: az.InferenceData, events: Mapping[str, float]) -> dict[str
     time = idata["posterior"]["time"].values
     torque = idata["posterior"]["torque"].transpose(*DRAWS, "time", "joint").values
     torque, unit = torque.reshape(-1, *torque.shape[2:]), values["peak"][1]
-    values["onset"] = (onset(time, torque), "s")
+    values["peak_time"] = (values["peak_time"][0] - time[0], "s")
+    values["onset"] = (onset(time, torque) - time[0], "s")
     for event, when in events.items():
         values[f"at {event}"] = (at_times(time, torque, np.array([when]))[:, 0], unit)
     return values

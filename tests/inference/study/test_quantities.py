@@ -1,9 +1,11 @@
 """Onset and values at events of paths whose answers are plain."""
 
+import arviz as az
 import numpy as np
 import pytest
+import xarray as xr
 
-from invdyn.inference.study.quantities import STATISTICS, at_times, onset, statistics
+from invdyn.inference.study.quantities import STATISTICS, at_times, onset, quantities, statistics
 
 TIME = np.linspace(0.0, 1.0, 11)
 
@@ -23,6 +25,19 @@ def test_values_at_events_are_linear_between_rows_and_missing_outside():
     found = at_times(TIME, path, np.array([0.0, 0.37, 1.0, 1.01, np.nan]))
     assert found[0, :3] == pytest.approx(np.array([[0.0, 0.0], [0.37, 1.11], [1.0, 3.0]]))
     assert np.isnan(found[0, 3:]).all()
+
+
+def test_times_count_from_the_first_row():
+    """Of a recording that begins 30 s late, and one that does not."""
+    torque = np.zeros((1, 2, 11, 1)) + np.array([0, 0, 0.05, 0.3, 1, 2, 1, 0, 0, 0, 0.1])[:, None]
+    dims = ["chain", "draw", "time", "joint"]
+    for begin in (0.0, 30.0):
+        data = {"torque": (dims, torque, {"units": "N·m"}), "velocity": (dims, torque)}
+        coords = {"chain": [0], "draw": [0, 1], "time": begin + TIME, "joint": ["elbow"]}
+        found = quantities(az.InferenceData(posterior=xr.Dataset(data, coords)), {"touch": begin + 0.35})
+        assert found["peak_time"][0] == pytest.approx(np.full((2, 1), 0.5))
+        assert found["onset"][0] == pytest.approx(np.full((2, 1), 0.2))
+        assert found["at touch"][0] == pytest.approx(np.full((2, 1), 0.65))
 
 
 def drawn(peaks):
