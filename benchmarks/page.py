@@ -28,7 +28,7 @@ COMMANDS = {
     "mouse": "mouse.py --out build/mouse --shown 0:60",
     "panda": "panda.py --seconds 1 --seeds 1 --results build/panda.jsonl",
     "cost": "cost.py",
-    "cost_long": "cost.py --long 1000 10000 100000",
+    "cost_long": "cost.py --long 1000 10000",
     "live": "live.py",
     "calibration": "calibration.py",
     "parameter_calibration": "parameter_calibration.py",
