@@ -316,5 +316,5 @@ def _with_tracks(diagnosis: Diagnosis) -> az.InferenceData | None:
     drawn = tracks.dataset(diagnosis.joint_names, sites)
     drawn.attrs |= {"recording": diagnosis.recording, "verdict": verdict(diagnosis)}
     drawn.attrs["details"] = "\n".join(details(diagnosis))
-    groups = {name: posterior[name] for name in posterior.groups()}
+    groups: dict[str, Any] = {name: posterior[name] for name in posterior.groups()}
     return az.InferenceData(attrs=posterior.attrs, **groups, tracks=drawn)

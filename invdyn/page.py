@@ -5,9 +5,10 @@ report, it carries the digest of the one script that may run, and escapes all th
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -64,12 +65,12 @@ class View:
         unit: str,
         sides: list[dict[str, Any]],
         trials: Sequence[tuple[str, np.ndarray]] = (),
-        **more: np.ndarray | None,
+        more: Mapping[str, np.ndarray | None] = MappingProxyType({}),
     ) -> None:
         """Add the curves of a joint.
 
         Each side has a name, a style, and `low`, `middle`, `high` (T,), of a posterior also `lower` and `upper`.
-        ``trials`` are pale, each of a style. More curves are `truth`, `command` and `dots`.
+        ``trials`` are pale, each of a style. ``more`` curves are `truth`, `command` and `dots`.
         """
         own = {name: values for name, values in more.items() if values is not None and np.isfinite(values).any()}
         curves = [side[each] for side in sides for each in ("low", "middle", "high")]
@@ -161,6 +162,6 @@ class View:
 def rounded(values: np.ndarray, span: tuple[float, float]) -> Any:
     """As nested lists, to a five-thousandth of a span; NaN becomes None."""
     digits = max(0, 4 - math.floor(math.log10(max(span[1] - span[0], 1e-12))))
-    values = np.round(np.asarray(values, float), digits)
-    lists = np.where(np.isfinite(values), values, None)
+    lists = np.round(np.asarray(values, float), digits).astype(object)
+    lists[~np.isfinite(values)] = None
     return lists.tolist()

@@ -208,7 +208,7 @@ def limit_to_usual(axes: Axes, time: np.ndarray) -> None:
     What leaves the panel has a triangle at its edge, in its colour.
     """
     drawn = [(np.asarray(line.get_ydata(), float), line.get_color()) for line in axes.get_lines()]
-    edges = [path.vertices[:, 1] for band in axes.collections for path in band.get_paths()]
+    edges = [np.asarray(path.vertices)[:, 1] for band in axes.collections for path in band.get_paths()]
     limits = usual_range(np.concatenate([*(values for values, _ in drawn), *edges]))
     if limits is None:
         return

@@ -9,6 +9,7 @@ Recordings of more than `MAX_ROWS` rows are thinned: median and edges of the ban
 """
 
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -95,12 +96,12 @@ def of_posterior(idata: az.InferenceData, name: str) -> View:
         bands = quantiles(idata, group)[:, rows]
         view.notes[group] = "Median, with bands that hold 50 and 90 % of the probability."
         for k, joint in enumerate(joints):
-            side = {"name": "posterior median", "style": "after"}
+            side: dict[str, Any] = {"name": "posterior median", "style": "after"}
             side |= zip(("low", "lower", "middle", "upper", "high"), bands[:, :, k], strict=True)
             more = {"truth": known.get(f"truth_{group}"), "dots": observed.get(group)}
             more |= {"command": known.get("command")} if group == "torque" else {}
             curves = {name: None if each is None else _of_joint(each, k)[rows] for name, each in more.items()}
-            view.panel(group, joint, unit_of(idata, group, k), [side], **curves)
+            view.panel(group, joint, unit_of(idata, group, k), [side], more=curves)
     return view
 
 
@@ -111,8 +112,8 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     base = np.broadcast_to(tracks["base"].values, (len(rows), 1, tracks.sizes["space"]))
     sides = {("simulation as it is", "before"): "nominal", ("corrected", "after"): "corrected"}
     replays = {side: tracks[f"{name}_replay"].values[rows] for side, name in sides.items()}
-    corrected = not np.array_equal(*replays.values(), equal_nan=True)
-    if not corrected:
+    before, after = replays.values()
+    if np.array_equal(before, after, equal_nan=True):
         del replays["corrected", "after"]
     view = View(
         title=str(tracks.attrs["verdict"]),
