@@ -42,6 +42,7 @@ COMMANDS = {
     "reaches": "reaches.py --first 5000 --reaches 60 --smc 0 --results build/reaches.jsonl",
     "study_size": "study.py size",
     "study_pooling": "study.py pooling",
+    "study_kill": "study.py kill",
     "filters": "filters.py",
     "gpu": "gpu.py",
     "ladder": "ladder.py",
