@@ -22,7 +22,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute
-from invdyn.inference.execution.progress import Progress, stage
+from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
@@ -101,7 +101,7 @@ def run_sets(
     options: SMCOptions,
     seed: int,
     settings: dict | None,
-    progress: Any = None,
+    progress: Report | None = None,
 ) -> Any:
     """Posterior of the problems (S,), with ``counts`` filters each, from ``starts`` (S, T, D): what one worker does.
 
@@ -128,9 +128,11 @@ def run_sets(
     return found
 
 
-def run_sets_to_keep(*arguments: Any, progress: Any = None) -> dict[str, Tensor]:
+def run_sets_to_keep(*arguments: Any, progress: Report | None = None) -> dict[str, Tensor]:
     """The same as tensors, for a checkpoint."""
-    found = run_sets(*arguments, progress=progress)
+    found = run_sets(*arguments)
+    if progress is not None:
+        progress(1, 1)
     return {f"{k}.{name}": value for k, each in enumerate(found) for name, value in packed(each).items()}
 
 
@@ -178,7 +180,7 @@ def _filtered(
     """Ancestral lines of filters, each with the set and the guide of its own."""
     observations = problems[0].observations
     dtype = options.dtype or sufficient_dtype(smoothers)
-    models = [in_type(each.model, observations, options, dtype) for each in problems]
+    models: list[Any] = [in_type(each.model, observations, options, dtype) for each in problems]
     rows = observations.to(dtype=models[0].dtype, device=options.device)
     guides = [Corrected(model, rows, smoothers.of_set(k)) for k, model in enumerate(models)]
     model = stacked([models[k] for k in owners])
@@ -217,13 +219,13 @@ def _contents(
 ) -> az.InferenceData:
     """InferenceData of paths (M, R, T, D) of filters or smoothers with ``evidences`` (M,)."""
     if result is None:
-        known = {"log_evidence": float(evidences.mean()), "settings": settings}
-        found = to_inference_data(problem, paths, method=method, seed=seed, **known)
+        whole = float(evidences.mean())
+        found = to_inference_data(problem, paths, method=method, seed=seed, settings=settings, log_evidence=whole)
         found["sample_stats"]["log_evidence"].values[:] = evidences
         return found
     judged = evidence(evidences, "controlled")
-    diagnostics = {"usable": int(judged.usable), "doubt": judged.reason, "contradicted": "", "guide_reason": ""}
-    diagnostics |= {"guide": "controlled"}
+    diagnostics: dict[str, float | str] = {"usable": int(judged.usable), "doubt": judged.reason}
+    diagnostics |= {"contradicted": "", "guide": "controlled", "guide_reason": ""}
     settings = {**settings, "num_filters": options.num_filters, "num_particles": options.num_particles}
     settings |= {"filters_per_task": len(paths), "resampling": options.resampling}
     return to_inference_data(
