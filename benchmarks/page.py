@@ -39,7 +39,7 @@ COMMANDS = {
     "--results build/sensors.jsonl",
     "against_sensors_kuka": 'against_sensors.py "kuka 1" "kuka 2" --results build/kuka.jsonl',
     "what_is_off": "what_is_off.py",
-    "reaches": "reaches.py --first 5000 --reaches 30 --smc 0 --results build/reaches.jsonl",
+    "reaches": "reaches.py --first 5000 --reaches 55 --smc 0 --results build/reaches.jsonl",
     "study_size": "study.py size",
     "study_pooling": "study.py pooling",
     "study_kill": "study.py kill",
