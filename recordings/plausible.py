@@ -171,7 +171,8 @@ def _tracks(recording: Recording, base: Sequence[float] | np.ndarray | None) -> 
     found = {name: recording.keypoints[:, place] for place, name in enumerate(recording.keypoint_names)}
     if base is not None:
         at = np.asarray(base)
-        found[BASE] = np.zeros((recording.num_frames, recording.keypoints.shape[-1]))
+        size = max(recording.keypoints.shape[-1], at.shape[-1])  # encoders alone have keypoints of no size
+        found[BASE] = np.zeros((recording.num_frames, size))
         found[BASE][:, : at.shape[-1]] = at
     return found
 

@@ -59,3 +59,14 @@ def test_the_same_in_space():
     with pytest.raises(InputError, match=r"wrist lies 3.56 m from the base .* check --units"):
         check_fits(right.scaled(2.0, "m"), body, Units())
     check_fits(right.scaled(2.0, "m"), body, Units(), guessed=True)
+
+
+def test_encoders_alone_of_a_body_in_space_have_no_keypoints_to_place():
+    """A robot's log has keypoints of shape (T, 0, 2), whatever the body's dimensions."""
+    body = load_body("paper_spatial_arm")
+    time = np.arange(0, 3, 0.02)
+    angles = 0.3 * np.sin(time[:, None] + np.arange(body.num_joints))
+    log = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, joint_names=body.joint_names)
+    check_fits(log, body, Units())
+    with pytest.raises(InputError, match=r"too fast|deg"):
+        check_fits(replace(log, angles=np.degrees(angles)), body, Units())
