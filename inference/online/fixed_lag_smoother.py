@@ -49,6 +49,7 @@ WINDOW = 6
 """Rows of the window at least: a state that no single row shows, such as a torque, needs several to be linearised."""
 SETTLED, STEPS = 3.0, 3
 """A row's steps of Gauss–Newton end when none moves a state by that many of its standard deviations, or after these."""
+RAN_AWAY = (Diverged, Singular, FloatingPointError, np.linalg.LinAlgError)
 
 WithInputs = Callable[[Any, np.ndarray], StateSpaceModel]
 """From a model of T rows and their inputs (T, I) to the model that has them."""
@@ -155,7 +156,7 @@ class Online:
         if y.shape != (self.model.observation_dim,):
             raise ModelError(f"rows: expected row {t} of shape ({self.model.observation_dim},), got {y.shape}")
         if t < self.next:
-            self._belated(t, y)
+            self._belated(t, y, inputs)
             return []
         if not self._rows:
             if np.isnan(y).all():
@@ -170,17 +171,20 @@ class Online:
     def finish(self) -> list[Smoothed]:
         """The states of the last rows, given all rows: no row is to come."""
         if self._rows and not len(self._path):
-            self._start()
+            try:
+                self._start()
+            except RAN_AWAY:
+                return []
         return self._answers(self.next) if self._rows else []
 
-    def restart(self) -> list[Smoothed]:
-        """End as :meth:`finish` does, and start again with the next row."""
+    def restart(self, first: int) -> list[Smoothed]:
+        """End as :meth:`finish` does, and start again with row ``first``."""
         found = self.finish()
-        self.counts.restarts += 1
-        self._begin(self.next)
+        self.counts.restarts += bool(self._rows)
+        self._begin(first)
         return found
 
-    def _belated(self, t: int, y: np.ndarray) -> None:
+    def _belated(self, t: int, y: np.ndarray, inputs: np.ndarray | None) -> None:
         """A row whose number has been passed: what of it is new fills the window."""
         if t < self._first or not self._rows:
             self.counts.late += 1
@@ -190,6 +194,8 @@ class Online:
             self.counts.doubled += 1
         else:
             self.counts.lost -= 1
+            if inputs is not None:
+                self._inputs[t - self._first] = inputs
         row[~known] = y[~known]
 
     def _append(self, y: np.ndarray, inputs: np.ndarray | None) -> list[Smoothed]:
@@ -203,7 +209,7 @@ class Online:
                 self._start()
             else:
                 self._follow()
-        except (Diverged, Singular, FloatingPointError, np.linalg.LinAlgError):
+        except RAN_AWAY:
             self.counts.restarts += 1
             self._begin(self.next)
             return []
@@ -290,7 +296,7 @@ class Online:
         """
         count, roots = len(self._path), list[Tensor]()
         model, rows = self._with_inputs(), torch.arange(count)
-        rows = rows if self.with_inputs is not None else rows + self._first
+        rows = rows if self.with_inputs is not None else rows + max(self._first, 0)  # a clock may go back
         last, (nudges, central) = model.num_steps - 1, self._nudges
         independent, shown = model.independent_sensor_states or ([], [])
         view = _Window(model, rows.clamp(max=last))

@@ -206,8 +206,8 @@ def _eliminated(noise: np.ndarray, state: np.ndarray, constant: np.ndarray) -> t
         triangle = _reduced(stacked[: here.stop - first])
         np.multiply(triangle[:, :size, :size], _upper(size), out=R[here])
         B[here], r[here] = triangle[:, :size, size:width], triangle[:, :size, width]
-        np.multiply(triangle[:, size:, size:width], _upper(dim), out=A[here])
-        alpha[here] = triangle[:, size:, width]
+        np.multiply(triangle[:, size:width, size:width], _upper(dim), out=A[here])
+        alpha[here] = triangle[:, size:width, width]
     return tuple(each.reshape(*batch, *each.shape[1:]) for each in (R, B, r, A, alpha))
 
 

@@ -37,6 +37,15 @@ def test_a_linear_model_has_the_exact_smoother_at_that_lag(chain, y, lag):
         assert each.covariance == pytest.approx(covs[each.t], abs=1e-9)
 
 
+def test_rows_may_be_wider_than_the_state():
+    wide = oracles.random_chain(seed=6, dim=2, size=5)
+    y = wide.simulate(ROWS, seed=6)[1]
+    for each in run(wide.model(12), y, 3)[1]:
+        means, covs = oracles.rts(wide, y[: each.last + 1])
+        assert each.mean == pytest.approx(means[each.t], abs=1e-9)
+        assert each.covariance == pytest.approx(covs[each.t], abs=1e-9)
+
+
 def test_the_answer_comes_with_the_row_a_lag_later(chain, y):
     found = run(chain.model(12), y, 8)[1]
     assert all(each.last == min(each.t + 8, ROWS - 1) for each in found)
