@@ -1,13 +1,16 @@
 """Torques of an arm while it moves: rows in as they come, torques with bands out a stated lag later.
 
 What is fitted in a recording (noise, and the torques' scale and decay), is learned once, on a recording of the same arm
-and the same sensors, and then stands. The rows that follow are put on its grid of times: a row belongs to the step
-nearest to its time. Steps without a row are taken as missing, a second row of a step fills in what the first one
+and the same sensors, and then stands. Torques are an Ornstein–Uhlenbeck process, whatever the default of
+:func:`invdyn.inference.infer` is: with parameters that are fitted, not drawn, bands of smoother ones are too narrow.
+
+The rows that follow are put on the calibration's grid of times: a row belongs to the step nearest to its time. Steps
+without a row are taken as missing, a second row of a step fills in what the first one
 lacks, and a row later than the window is counted and left out (:class:`.online.fixed_lag_smoother.Counts`).
 
 A row is what a recording of this project has in a line: ``<keypoint>_x`` …, ``<joint>_angle`` and, where the
-calibration has commands, ``<joint>_torque``, in SI units. What is absent or NaN is missing; a command stands until the
-next one comes. Torques are the model's, of which the band holds 90 % (5 % to 95 % of a Gaussian).
+calibration has commands, ``<joint>_torque``, in SI units. What is absent or not finite is missing; a command stands
+until the next one comes. Torques are the model's, of which the band holds 90 % (5 % to 95 % of a Gaussian).
 """
 
 import math
@@ -21,7 +24,7 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.online.change import ChangeTest
 from invdyn.inference.online.fixed_lag_smoother import WINDOW, Online, Smoothed
 from invdyn.inference.task import prepare
-from invdyn.models import ArmModel, ArticulatedBody
+from invdyn.models import ArmModel, ArticulatedBody, OrnsteinUhlenbeck
 from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Filmed
@@ -29,7 +32,9 @@ from invdyn.recordings.cameras import Filmed
 QUANTILE = 1.6448536269514722
 """Of a Gaussian, 95 %."""
 MAX_GAP = 10.0
-"""s without a row after which all begins again: what was before says no more of the motion."""
+"""s by which time jumps, either way, after which all begins again: what was before says no more of the motion."""
+LAST_TIME = 1e11
+"""s: beyond, times are in another unit, or nonsense."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +82,9 @@ class LiveArm:
         if isinstance(calibration, Filmed):
             raise InputError("expected a table of keypoints or encoders as the calibration, got a film of cameras")
         self.fps = float(fps or 1 / calibration.frame_interval)
-        rows = round(lag * self.fps)
         if not (0 <= lag <= 5 and self.fps > 0):
             raise InputError(f"expected a lag from 0 to 5 s and a positive frame rate, got {lag:g} s and {fps}")
+        rows = round(lag * self.fps)
         task = prepare(
             calibration,
             body,
@@ -89,6 +94,7 @@ class LiveArm:
             hide_torque=hide_torque,
             moving_base=False,
             report=report,
+            torque=OrnsteinUhlenbeck(),
         )
         model = task.problem.model
         self.body, commanded = model.body, model.command is not None
@@ -113,28 +119,34 @@ class LiveArm:
         self.online.forget()
         self.test.restart()
         self._first: float | None = None
-        self._command = np.zeros(self.body.num_joints)
+        self._command = np.full(len(self.commands), np.nan)
         self._restarts = 0
 
     def add(self, time: float, values: Mapping[str, float]) -> list[LiveRow]:
         """Take the row of ``time``, s, and return the answers that are due.
 
-        Raises InputError for a time that is no number, and for a row none of whose names is known.
+        Raises InputError for a time that is no number of seconds, for a row none of whose names is known, and for one
+        without a command before the first that has it.
         """
-        if not math.isfinite(time):
+        if not abs(time) < LAST_TIME:
             raise InputError(f"expected the time of a row in seconds, got {time}")
         if not values.keys() & {*self.columns, *self.commands}:
             raise InputError(f"expected a row with columns among {', '.join(self.columns)}, got {', '.join(values)}")
         self._first = time if self._first is None else self._first
         step = round((time - self._first) * self.fps)
         found: list[Smoothed] = []
-        if step > self.online.next + MAX_GAP * self.fps:
-            found += self.online.restart()
-        command = np.array([values.get(name, math.nan) for name in self.commands])
-        if self.commands:
-            self._command = np.where(np.isnan(command), self._command, command)
-        y = np.array([values.get(name, math.nan) for name in self.columns], dtype=float)
-        inputs = self._command.copy() if self.commands else None
+        if abs(step - self.online.next) > MAX_GAP * self.fps:
+            found += self.online.restart(step)
+        y, own = (_finite(values, names) for names in (self.columns, self.commands))
+        command = np.where(np.isnan(own), self._command, own)
+        if missing := [name for name, value in zip(self.commands, command, strict=True) if math.isnan(value)]:
+            raise InputError(
+                f"expected {', '.join(missing)} from the first row on, as the calibration has commands, got none: "
+                "send it, or hide the commands (--hide-torque)"
+            )
+        late = step < self.online.next
+        self._command = self._command if late else command  # what comes late does not stand
+        inputs = None if not self.commands or (late and np.isnan(own).any()) else command
         return [self._answer(each) for each in found + self.online.add(step, y, inputs)]
 
     def finish(self) -> list[LiveRow]:
@@ -171,6 +183,12 @@ class LiveArm:
         assert self._first is not None
         time = self._first + state.t / self.fps
         return LiveRow(time, torque, both[:, -2 * joints : -joints], both[:, -joints:], changed)
+
+
+def _finite(values: Mapping[str, float], names: list[str]) -> np.ndarray:
+    """Values of some names, NaN where they are absent or no finite numbers."""
+    found = np.array([values.get(name, math.nan) for name in names], dtype=float)
+    return np.where(np.isfinite(found), found, np.nan)
 
 
 def about_pose(model: ArmModel, rows: Tensor) -> ArmModel:

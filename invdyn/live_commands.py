@@ -51,10 +51,13 @@ def live(
     check_exist(str(calibration), *([] if source == "-" else [source]), body=body)
 
     from invdyn.inference import ChangeTest, LiveArm
+    from invdyn.recordings import InputError
 
     from .console import check_ending, check_outputs
     from .inputs import load_body, read_recordings
 
+    if udp is not None and source != "-":
+        raise InputError(f"expected rows from one place, got {source} and --udp {udp}: leave one of them out")
     check_outputs([out], [Path(body), calibration, Path(source)])
     check_ending("the answers", out, ".csv")
     arm = load_body(body)
@@ -66,7 +69,7 @@ def live(
     following.test = ChangeTest(following.fps, hours)
     names = ["time", *following.columns, *following.commands]
     with (
-        nullcontext(sys.stdin) if source == "-" else Path(source).open(encoding="utf-8") as lines,
+        nullcontext(sys.stdin) if source == "-" else Path(source).open(encoding="utf-8", errors="replace") as lines,
         nullcontext(sys.stdout) if out is None else out.open("w", encoding="utf-8") as sheet,
         suppress(KeyboardInterrupt),  # as a run without an end is ended
     ):
@@ -88,7 +91,8 @@ def _write(following: Any, answers: Iterator[Any], sheet: IO[str]) -> None:
         if not head:
             print(",".join(line), file=sheet)
             head = True
-        print(",".join(f"{value:.9g}" for value in line.values()), file=sheet, flush=True)
+        time, *values = line.values()  # the time may be a Unix time: nine digits would not do
+        print(round(time, 6), *(f"{value:.9g}" for value in values), sep=",", file=sheet, flush=True)
         if row.changed:
             print_line("warning", f"at {row.time:.3f} s the body has changed, or moves otherwise than calibrated")
 
@@ -101,7 +105,7 @@ def rows(source: Iterator[str], names: list[str]) -> Iterator[tuple[float, dict[
     from invdyn.recordings import InputError
 
     for number, line in enumerate(source, 1):
-        if not (line := line.strip()):
+        if not (line := line.strip("\ufeff \t\r\n")):  # some programs begin a file with a mark
             continue
         try:
             if line.startswith("{"):
@@ -113,7 +117,7 @@ def rows(source: Iterator[str], names: list[str]) -> Iterator[tuple[float, dict[
                     continue
                 values = dict(zip(names, map(_number, cells), strict=True))
             time = values.pop("time")
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             raise InputError(
                 f"line {number}: expected {len(names)} numbers ({', '.join(names)}) or a JSON object with a time, "
                 f"got {line[:60]!r}"

@@ -82,7 +82,35 @@ def test_a_line_is_csv_or_json():
     assert list(rows(iter(["0.1,2"]), ["time", "a"])) == [(0.1, {"a": 2.0})]
 
 
-@pytest.mark.parametrize("line", ["1,2,3", "1,x", "{", '{"a": 1}', "[1, 2]"])
+def test_a_file_may_begin_with_a_mark():
+    assert list(rows(iter(["\ufefftime,a\n", "0.1,2\n"]), ["time", "b"])) == [(0.1, {"a": 2.0})]
+
+
+def test_a_unix_time_keeps_its_milliseconds(there, run):
+    header, *lines = (there / "now.csv").read_text().splitlines()
+    times = [1764470268.1 + n / 50 for n in range(len(lines))]
+    moved = [f"{time},{line.partition(',')[2]}" for time, line in zip(times, lines, strict=True)]
+    (there / "now.csv").write_text("\n".join([header, *moved]))
+    outcome = run(*LIVE[:1], "now.csv", *LIVE[1:], "--out", "answers.csv")
+    assert outcome.exit_code == 0, outcome.stderr
+    found, _ = read_table(there / "answers.csv")
+    assert found["time"] == pytest.approx(times, rel=0, abs=1e-3)
+
+
+def test_what_cannot_be_read_is_one_line(there, run):
+    (there / "noise.csv").write_bytes(bytes(range(128, 256)) * 9)
+    for given, message in (
+        (("noise.csv",), "error: line 1: expected 5 numbers"),
+        (("now.csv", "--udp", "5005"), "error: expected rows from one place, got now.csv and --udp 5005"),
+    ):
+        outcome = run(*LIVE[:1], *given, *LIVE[1:])
+        assert outcome.exit_code != 0
+        assert outcome.stderr.startswith(message)
+
+
+@pytest.mark.parametrize(
+    "line", ["1,2,3", "1,x", "{", '{"a": 1}', "[1, 2]", '{"time": 1' + 400 * "0" + "}", 20000 * '{"a":']
+)
 def test_other_lines_are_refused(line):
     with pytest.raises(InputError, match="line 1: expected 2 numbers"):
         list(rows(iter([line]), ["time", "a"]))

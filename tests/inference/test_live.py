@@ -90,6 +90,47 @@ def test_a_long_pause_starts_again(live, body):
     assert np.abs(np.array([each.angle[0] for each in again]) - truth.angle).max() < 0.03
 
 
+def test_a_clock_that_begins_anew_starts_again(live, body):
+    recording, truth = record(random_arm(body, duration=1, seed=6, **PLAIN), seed=6)
+    rows = rows_of(live, recording)
+    live.forget()
+    answers = list(live.follow([*((time + 60, values) for time, values in rows), *rows]))
+    assert (live.online.counts.restarts, live.online.counts.late) == (1, 0)
+    again = [each for each in answers if each.time < 59]
+    assert [each.time for each in again] == pytest.approx(recording.time)
+    assert np.abs(np.array([each.angle[0] for each in again]) - truth.angle).max() < 0.03
+
+
+def test_an_infinite_number_is_a_missing_one(live, body):
+    recording, _ = record(random_arm(body, duration=1, seed=6, **PLAIN), seed=6)
+    found = []
+    for wrong in (np.nan, np.inf):
+        rows = rows_of(live, recording)
+        for n in (0, 20):
+            rows[n] = (rows[n][0], dict.fromkeys(rows[n][1], wrong))
+        live.forget()
+        found.append(list(live.follow(rows)))
+    assert live.online.counts.restarts == 0
+    for one, other in zip(*found, strict=True):
+        assert one.torque == pytest.approx(other.torque, rel=1e-9)
+
+
+def test_a_late_row_has_its_own_command_and_none_else(commanded, body):
+    recording, truth = record(random_arm(body, duration=2, seed=7, commanded=True, **PLAIN), seed=7)
+    rows = rows_of(commanded, recording)
+    for n in range(10, 90, 6):
+        rows[n], rows[n + 1] = rows[n + 1], rows[n]
+    commanded.forget()
+    torque = np.array([each.torque[0] for each in commanded.follow(rows)])
+    assert np.sqrt(((torque - truth.torque) ** 2).mean(0)) == pytest.approx([0.0, 0.0], abs=0.01)
+
+
+def test_rows_without_the_calibrations_commands_are_refused(commanded):
+    commanded.forget()
+    with pytest.raises(InputError, match="shoulder_torque, elbow_torque from the first row on"):
+        commanded.add(0.0, {"elbow_x": 0.0})
+
+
 def test_known_commands_are_part_of_the_torque(commanded, body):
     recording, truth = record(random_arm(body, duration=2, seed=7, commanded=True, **PLAIN), seed=7)
     commanded.forget()
@@ -126,7 +167,11 @@ def test_what_cannot_be_is_refused(live, body):
     recording, _ = record(random_arm(body, duration=1, seed=6, **PLAIN), seed=6)
     with pytest.raises(InputError, match="lag from 0 to 5 s"):
         LiveArm(recording, body, lag=-1.0)
+    with pytest.raises(InputError, match="lag from 0 to 5 s"):
+        LiveArm(recording, body, lag=float("nan"))
     with pytest.raises(InputError, match="time of a row"):
         live.add(float("nan"), {"elbow_x": 0.0})
+    with pytest.raises(InputError, match="time of a row"):
+        live.add(1e300, {"elbow_x": 0.0})
     with pytest.raises(InputError, match="columns among elbow_x"):
         live.add(0.0, {"hand_x": 0.0})
