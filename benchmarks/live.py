@@ -1,4 +1,4 @@
-"""What `invdyn live` takes and tells: latency of rows, bands of the lagged answer, delay until a change is told.
+"""What `invdyn live` takes and reports: latency of rows, bands of the lagged answer, delay until a change is reported.
 
 Simulated replays, rows one after the other as fast as they are answered: planar arm of two joints at 100 rows/s by
 keypoints, an arm of seven joints in space at 60 rows/s by keypoints and encoders, and the planar arm under known
@@ -94,7 +94,7 @@ def changes(count: int) -> None:
     options = {"fps": 100, "noise": 0.003, "commanded": True}
     live = live_of(random_arm(body, duration=CALIBRATION, seed=11, **options))
     factor = torch.tensor([1.0, 1.3], dtype=torch.float64)
-    print("| change | told within 2 s | delay s, median | 90 % | told before it |\n|---|---|---|---|---|")
+    print("| change | reported within 2 s | delay s, median | 90 % | reported before it |\n|---|---|---|---|---|")
     for name in ("forearm 30 % heavier", "friction at the shoulder", "friction at the elbow"):
         delays, early = [], 0
         for seed in range(count):
@@ -114,9 +114,9 @@ def changes(count: int) -> None:
             observed = changed(model, observed, states, 400, other, parameters)
             live.forget()
             _, answers = replay(live, model, observed)
-            told = [each.time - model.time[400].item() for each in answers if each.changed]
-            early += sum(each < 0 for each in told)
-            delays.append(next((each for each in told if each >= 0), np.inf))
+            alarms = [each.time - model.time[400].item() for each in answers if each.changed]
+            early += sum(each < 0 for each in alarms)
+            delays.append(next((each for each in alarms if each >= 0), np.inf))
         late = np.array(delays)
         median, most = np.median(late), np.quantile(late, 0.9)
         print(f"| {name} | {(late <= 2).sum()} of {count} | {median:.2f} | {most:.2f} | {early} |", flush=True)

@@ -71,7 +71,7 @@ def infer(
         checkpoint: folder of this run, made when missing: the fit, the guide and the filters that are done are kept
             there, so that the same call continues where it was interrupted.
         learn_cameras: what is not known of a film's cameras, see :func:`arm_problem`.
-        forces: known ones on keypoints, which act beside the torques; :func:`invdyn.recordings.read_forces`.
+        forces: known ones on keypoints, which add to the torques; :func:`invdyn.recordings.read_forces`.
 
     Returns:
         InferenceData as :mod:`.posterior` lays it out.

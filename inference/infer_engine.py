@@ -1,4 +1,4 @@
-"""Torques, excitations and contact forces of whatever MuJoCo loads, from a recording."""
+"""Torques, excitations and contact forces of anything that MuJoCo loads, from a recording."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -52,7 +52,7 @@ def infer_engine(
         scene: the model, :meth:`.Scene.of` a file.
         method: one of ``ENGINE_METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
-        seed: same seed, same result, whatever the number of threads or workers.
+        seed: same seed, same result, for any number of threads or workers.
         settings: parameters by dotted name that are known. Otherwise the scale of the drive and that of each sensor's
             noise are fitted by marginal likelihood.
         drive: what is not known: "joints" (torques at hinges and slides), "actuators" (the file's own), "wrench:BODY",

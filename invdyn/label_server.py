@@ -64,7 +64,7 @@ class LabelServer(ThreadingHTTPServer):
     Attributes:
         active: number of connections that are open.
         pages: numbers of the pages that are open.
-        over: whether somebody is done and no page is open.
+        over: whether one page is done and no page is open.
 
     Raises InputError for a file that holds no labels, or those of other keypoints.
     """
@@ -148,7 +148,7 @@ class LabelServer(ThreadingHTTPServer):
     def leave(self, page: object, done: bool) -> dict[str, int]:
         """A page was closed, or its user is done; the number of others that are open.
 
-        Where somebody is done, the end waits until no page is open: labels of another page would be lost. One that says
+        Where one page is done, the end waits until no page is open: labels of another page would be lost. One that says
         done again is believed.
         """
         with self._counting:

@@ -8,7 +8,7 @@ A body that moves has d ≈ m, and a keypoint that is wrong for itself leaves th
 is small, but where they jump together. Rows between two such jumps are one piece. The longest one shows the person that
 is meant; another does, too, from the row on, of the W + 1 next to the jump, that is within `JUMP` of the place at which
 the pieces that are kept end. After g rows that are not kept it may be min(1 + g, `FARTHER`) times as far off, if that
-is nearer than the ends of those. What is left is of somebody else, and is missing.
+is nearer than the ends of those. What is left is another person's, and is missing.
 
 Shapes: T rows, P keypoints, S axes.
 """

@@ -37,7 +37,7 @@ class Wrong:
     """A mistake in the words of the user: its kind, the joints' names, what, the remedy, and what else it might be.
 
     `before` and `after` are the shares of the torque that the motion does not need, NaN without torques. `misfit` is
-    that of all torques as they were, with whatever numbers of the body fit them best.
+    that of all torques as they were, with the body's numbers that fit them best.
     """
 
     kind: str

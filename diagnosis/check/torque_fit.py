@@ -96,7 +96,7 @@ class TorqueFit:
         return np.asarray(np.sqrt((left**2).mean(0)))
 
     def by_damping(self, motion: Motion, values: np.ndarray) -> np.ndarray:
-        """Rms (K,) N·m of what viscous friction takes beside the file's, with coefficients (P,)."""
+        """Rms (K,) N·m of what viscous friction takes in addition to the file's, with coefficients (P,)."""
         first, K = len(self._own), motion.q.shape[1]
         return np.asarray(np.abs(values[first : first + K]) * np.sqrt((motion.qd**2).mean(0)))
 

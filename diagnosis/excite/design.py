@@ -36,8 +36,8 @@ class Excitation:
         time, angle, velocity, acceleration: (R,) s; (R, K) rad, rad/s, rad/s², in the robot file's own angles.
         torque: (R, K) N·m that the file's robot needs.
         columns, sds: (P,) numbers, and their expected posterior sds.
-        nats: expected information about what was asked; `usual` the same of a random motion within the limits.
-        assumed: limits that nobody gave.
+        nats: expected information about the question; `usual` the same of a random motion within the limits.
+        assumed: limits that were not given.
     """
 
     joints: tuple[str, ...]
@@ -95,7 +95,7 @@ def design_motion(
         robot: that file, for the joints' ranges.
         limits: a table of limits (:mod:`.limits`), or the limits.
         joints: those that move, all by default; the others stand in the middle of their ranges.
-        about: effects that are asked about, such as "coulomb_friction"; all that torque is linear in by default.
+        about: effects in question, such as "coulomb_friction"; all that torque is linear in by default.
         seconds: how long.
         noise: of a torque, N·m; by default a fiftieth of each joint's load.
         starts: searches from different random motions.

@@ -7,7 +7,7 @@ D-optimality: Chaloner & Verdinelli 1995),
     I = ½ log |1 + S Xᵀ W X S|,     posterior covariance S (1 + S Xᵀ W X S)⁻¹ S
 
 with W of independent rows: torque's errors are remembered for 1/20 s, so that a second counts for 20 of them. Where
-some effects are asked about, the others are not known either: I is that of all, less that of the others alone.
+some effects are in question, the others are not known either: I is that of all, less that of the others alone.
 
     viscous q̇     Coulomb tanh(q̇/v)     rotor q̈     spring q − q̄     constant 1     gain τ_file     link Y(q, q̇, q̈)
 
@@ -48,7 +48,7 @@ class Column:
 class Information:
     """What motions of a body tell, in ``noise`` (K,) N·m of its torques; by default a fiftieth of the load.
 
-    ``about`` names effects that are asked about, keys of ``JOINT_KINDS`` or ``INERTIAL``; all if none.
+    ``about`` names effects in question, keys of ``JOINT_KINDS`` or ``INERTIAL``; all if none.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Information:
         return torch.cat([found[:1], moments, found[1 + n :]]).flatten(0, 1)
 
     def nats(self, precision: Tensor) -> Tensor:
-        """Expected information about what is asked."""
+        """Expected information about the question."""
         whole = _log_det(precision)
         other = ~self.about
         return 0.5 * (whole - _log_det(precision[other][:, other]) if other.any() else whole)

@@ -7,7 +7,7 @@ The number of effects at work comes first, then which ones, then where each acts
     P(place | effect) = 1/places.
 
 An effect that a regression states at every joint (:mod:`..regression.regress`) is one of n, at all places together:
-robots' joints are alike. Its places then have P(all) of `places_prior`, for P(place | effect)^count.
+robots' joints are similar. Its places then have P(all) of `places_prior`, for P(place | effect)^count.
 
 An effect therefore does not become likelier by acting at more joints, and a second effect must earn about e⁵ to be
 believed. "Something else" needs no prior of its own: it is the slab of the residual's size (:mod:`.whiten`).

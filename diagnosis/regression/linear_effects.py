@@ -109,8 +109,8 @@ def linear_effects(
     ``factor`` (K,) is how many times a servo makes too much of its target's distance.
     """
     K, joints = motion.q.shape[1], body.joint_names
-    sign, required = expected_sign(motion), asked_by_file(dynamics, body, motion)
-    torque, parts = motion.asked / factor, getattr(body, "joint_parts", ()) or [None] * K
+    sign, required = expected_sign(motion), required_by_file(dynamics, body, motion)
+    torque, parts = motion.demanded / factor, getattr(body, "joint_parts", ()) or [None] * K
     usable = within_limits(body, torque - motion.servo_drag)
     needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
     whole = np.maximum(needed, given)
@@ -176,7 +176,7 @@ def expected_sign(motion: MeasuredMotion) -> np.ndarray:
     return np.asarray(erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300))))
 
 
-def asked_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> np.ndarray:
+def required_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> np.ndarray:
     """What the file asks for along a motion, (R, K): of links, joints and servos' damping."""
     joints = filed_torques(body, motion.q, motion.qd, motion.qdd, expected_sign(motion))
     return inverse(dynamics, body.parameters(), motion) + np.stack(joints, -1) + motion.servo_drag

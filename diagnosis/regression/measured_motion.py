@@ -26,8 +26,8 @@ from invdyn.recordings import Recording
 class MeasuredMotion:
     """Posterior means (R, K) of angle, velocity and acceleration, their sds, and the torque (R, K).
 
-    `asked` (R, K) is K (c − q) of position servos, without limits and without their damping, of which `servo_drag` is
-    the torque; elsewhere it is `torque`. `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces
+    `demanded` (R, K) is K (c − q) of position servos, without limits and without their damping, whose torque is
+    `servo_drag`; elsewhere it is `torque`. `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces
     of a recording between which time jumps.
     """
 
@@ -38,7 +38,7 @@ class MeasuredMotion:
     qd_sd: np.ndarray
     qdd_sd: np.ndarray
     torque: np.ndarray
-    asked: np.ndarray
+    demanded: np.ndarray
     servo_drag: np.ndarray
     command: np.ndarray
     stretch: np.ndarray
@@ -139,15 +139,15 @@ def _of_stretch(
     passive: bool,
 ) -> MeasuredMotion:
     q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
-    command = given = asked = held_mean(time, torque, smoothed.time)
+    command = given = demanded = held_mean(time, torque, smoothed.time)
     drag = servo_damping(body) * qd
     if not passive:
         at = [torch.as_tensor(each) for each in (command, q, qd)]
         given, whole = (answered(body, at[0], at[1], at[2], limited).numpy() for limited in (True, False))
-        asked = whole + drag
+        demanded = whole + drag
     sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
     where = np.full(len(q), number)
-    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, asked, drag, command, where)
+    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, demanded, drag, command, where)
 
 
 def servo_damping(body: ArticulatedBody) -> np.ndarray:

@@ -25,9 +25,9 @@ from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import (
     INERTIAL,
     LinearEffects,
-    asked_by_file,
     cutoff_of,
     linear_effects,
+    required_by_file,
 )
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
@@ -141,7 +141,7 @@ def regress(
     cutoff = min(cutoff_of(each) for each in (motion, other) if each is not None)
     first, last = motion.split(rules.outcome.fit_share) if other is None else (motion, other)
     dynamics = dynamics_for(body)
-    gains = servo_gains(first, asked_by_file(dynamics, body, first), body)
+    gains = servo_gains(first, required_by_file(dynamics, body, first), body)
     of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff, factor=gains.factor)
     whole = of(motion=motion)
     known, unseen = of(motion=first), of(motion=last)

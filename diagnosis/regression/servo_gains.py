@@ -43,11 +43,11 @@ def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> Serv
     for k, parts in enumerate(every):
         if parts is None or (servo := parts.servo) is None or servo.kind != "position":
             continue
-        limits, qd, asked = (servo.low, servo.high), motion.qd[:, k], motion.asked[:, k]
+        limits, qd, demanded = (servo.low, servo.high), motion.qd[:, k], motion.demanded[:, k]
         X = np.stack([required[:, k], qd, np.sign(qd), motion.qdd[:, k], np.ones(len(qd))], -1)
-        given = asked - motion.servo_drag[:, k]
+        given = demanded - motion.servo_drag[:, k]
         rows = [(given > servo.low) & (given < servo.high), np.ones(len(qd), bool)]
-        fits = [_regressed(X, asked, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
+        fits = [_regressed(X, demanded, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
         _, gamma, sd = min(fits, default=(0.0, 1.0, 0.0))
         if gamma > 0 and abs(math.log(gamma)) > FIXED.linear_servo_gain:
             factor[k], error[k] = gamma, sd
@@ -55,14 +55,14 @@ def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> Serv
 
 
 def _regressed(
-    X: np.ndarray, asked: np.ndarray, limits: tuple[float, float], rows: np.ndarray
+    X: np.ndarray, demanded: np.ndarray, limits: tuple[float, float], rows: np.ndarray
 ) -> tuple[float, float, float]:
     """Rms N·m that is left of all rows, γ and its standard error, by some ``rows``."""
     unit = np.maximum(np.sqrt((X[rows] ** 2).mean(0)), 1e-300)
-    values, *_ = np.linalg.lstsq(X[rows] / unit, asked[rows], rcond=None)
+    values, *_ = np.linalg.lstsq(X[rows] / unit, demanded[rows], rcond=None)
     fitted = X / unit @ values
     inverse = np.linalg.pinv(X[rows].T @ X[rows] / np.outer(unit, unit))
     gamma = float(values[0] / unit[0])
-    sd = math.sqrt(float(inverse[0, 0] * ((asked - fitted)[rows] ** 2).mean())) / float(unit[0])
-    left = np.clip(asked / gamma, *limits) - fitted / gamma
+    sd = math.sqrt(float(inverse[0, 0] * ((demanded - fitted)[rows] ** 2).mean())) / float(unit[0])
+    left = np.clip(demanded / gamma, *limits) - fitted / gamma
     return float(np.sqrt((left**2).mean())) if gamma > 0 else math.inf, gamma, sd

@@ -98,7 +98,7 @@ class Online:
 
     Args:
         model: with continuous states and Gaussian transitions. Rows beyond its last are as its last one; the start
-            is sought on all of its rows, so let it have few, but as many as the window.
+            is found on all of its rows, so let it have few, but as many as the window.
         lag: L, rows.
         with_inputs: how rows' inputs, such as commands, come into the model; None where there are none.
         at_start: the model that suits the rows (T, O) of its start, such as one whose prior is about the pose there.

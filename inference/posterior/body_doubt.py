@@ -5,7 +5,7 @@ Where the motion is observed and the torque is not, the torque follows from the 
     τ(φ) = D(q; φ) q̈ + h(q, q̇; φ) + c(q; φ),
 
 with masses, centres of mass, moments and the direction of gravity in φ. The motion tells none of them: twice the mass
-moves alike under twice the torque. What the torque's prior prefers is no knowledge of the body, so the posterior of φ
+moves equally under twice the torque. What the torque's prior prefers is no knowledge of the body, so the posterior of φ
 is cut off from it and stays its prior (M. Plummer, "Cuts in Bayesian graphical models", Statistics and Computing 25,
 2015). Each draw of a path has a draw of φ of its own, and the torque
 
@@ -49,7 +49,7 @@ NOTE = (
 
 
 def is_doubted(model: ArmModel) -> bool:
-    """Whether a body of unknown torque has numbers of which nobody said how well they are known."""
+    """Whether a body of unknown torque has numbers without a stated certainty."""
     body = model.body
     if not isinstance(body, Body) or model.command is not None:
         return False

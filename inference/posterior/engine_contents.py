@@ -38,7 +38,7 @@ ACTS = 1.0
 """N, median force of a contact from which on it acts in a row."""
 PRIOR_DRAWS = 4000
 SPLIT = 3.0
-"""Times as uncertain as their sum that single forces are where their split is not told."""
+"""Times as uncertain as their sum that single forces are where their split is not known."""
 
 
 def engine_contents(

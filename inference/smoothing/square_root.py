@@ -20,7 +20,7 @@ and folds in the rows E_t:
 
     c_t = c_{t+1} − log |det R| − ½ ρ²
 
-What else is asked of the factors is then computed for all rows at once. The noise w given the prediction m:
+What else is needed of the factors is then computed for all rows at once. The noise w given the prediction m:
 
     [ I        0        | 0 ]        [ R   B | r ]
     [ U L      U        | b ]  =  Q  [ 0   A | α ]      (columns: w, m | right-hand side)

@@ -1,7 +1,7 @@
 """Torques of many trials on one clock, aligned at an event, averaged with the doubt within and between trials.
 
 At each time t after the event, each trial has a mean and a posterior sd of its torque, linear between its rows. These
-are pooled as any other estimate (:mod:`.pooling`): over sessions and subjects, with the spread between trials. So the
+are pooled as any other estimate (:mod:`.pooling`): over sessions and subjects, with the sd between trials. So the
 band of the average holds both, what each trial leaves open and how trials, sessions and subjects differ. A second band
 says where the true torque of a further trial lies.
 

@@ -4,13 +4,13 @@
 
 y_i is a trial's posterior mean, s_i its posterior sd, c(i) its condition, z_g(i) its subject, its session, its session
 under this condition, and its subject under this condition (the effect of the condition then differs between subjects).
-τ_0 is the spread between trials of one cell. A grouping is left out where the design cannot tell it from another one.
+τ_0 is the sd between trials of one cell. A grouping is left out where the design cannot tell it from another one.
 Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–534). The scale of that between subjects is
 the sd of all y, of the others the sd of y about its subject's mean.
 
 Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
-Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is asked of μ is a
-mixture of normals. Nothing is random: the same numbers give the same answer.
+Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is needed of μ is
+a mixture of normals. Nothing is random: the same numbers give the same answer.
 
 Shapes: n trials, C conditions, G sets of τ, q = C + all groups.
 """
@@ -26,7 +26,7 @@ from scipy.stats import chi2, multivariate_t, qmc
 
 SETS, ROUNDS, DF, WIDER = 1024, 2, 5.0, 1.3
 LEAST = 1e-4
-"""Of the scale: below it a spread counts as none."""
+"""Of the scale: below it an sd counts as none."""
 MIN_TRIALS = 2
 
 
@@ -209,8 +209,8 @@ def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray
     count, dimensions = log_tau.shape
     weights = np.exp(log_weights - logsumexp(log_weights))
     centre = weights @ log_tau
-    spread = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
-    shape = WIDER**2 * spread + 1e-3 * np.eye(dimensions)
+    covariance = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
+    shape = WIDER**2 * covariance + 1e-3 * np.eye(dimensions)
     near = centre + _student_points(dimensions, count // 2) @ np.linalg.cholesky(shape).T
     near = np.clip(near, np.log(LEAST) + log_scale, np.log(8.0) + log_scale)
     both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])

@@ -39,7 +39,7 @@ def run_study(
         trials: with names that differ.
         how: method, sizes, seed.
         executor: whose workers share trials and sessions; the result is the same to the bit.
-        checkpoint: folder that keeps what is done; the same call goes on from there.
+        checkpoint: folder that keeps what is done; the same call continues from there.
         progress: called with (trials or sessions done, all, what).
 
     Raises InputError for no trials, two of one name, an unknown method, or a checkpoint of another study; LostWork.

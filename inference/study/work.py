@@ -60,7 +60,7 @@ NOT_SETTLED = "the fit did not settle"
 
 
 def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
-    """Parameters by the summed evidence ("value <name>"), the spread of their φ ("sd"), "log_evidence" (N,)."""
+    """Parameters by the summed evidence ("value <name>"), the sd of their φ ("sd"), "log_evidence" (N,)."""
 
     def work() -> Tensors:
         problems, frees = zip(*(bound(trial, how) for trial in trials), strict=True)
@@ -176,7 +176,7 @@ def _left_out(reason: str) -> Tensors:
 
 
 def _guarded(work: Callable[[], Tensors]) -> Tensors:
-    """The result, or why there is none; one trial's error is told and does not stop the others."""
+    """The result, or why there is none; one trial's error is reported and does not stop the others."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what matters of a trial stands in its words

@@ -1,6 +1,6 @@
 """A known force on a site of the body, such as of a handle or a force plate: τ = Jᵀ(θ) F(t).
 
-F is a straight line between its samples, which have a clock of their own. It acts beside the joints' torques, which are
+F is a straight line between its samples, which have a clock of their own. It adds to the joints' torques, which are
 then those of muscles or motors alone.
 """
 

@@ -1,4 +1,4 @@
-"""A base that moves: the place of the first joint as a process beside the torques, which carries the body.
+"""A base that moves: the place of the first joint as a process next to the torques, which carries the body.
 
 The acceleration of each axis is a stationary Matérn-3/2 process, so that b is its double integral. R. A. Singer,
 "Estimating optimal tracking filter performance for manned maneuvering targets", IEEE Transactions on Aerospace and

@@ -119,7 +119,7 @@ class Transition:
         return self.torque.diagonal or not self.timeline.regular
 
     def _torque_lasts(self, t: Row) -> Tensor:
-        """The same for the torque's matrices, (..., 1): of one row for all, where they are alike."""
+        """The same for the torque's matrices, (..., 1): of one row for all, where they are equal."""
         return self._lasts(t if self._of_rows else 0)
 
     def _torque_noise(self, t: Row) -> Tensor:

@@ -5,7 +5,7 @@
 
 Each axis of a CustomJoint moves by a function of a coordinate: q, −q, either with an offset, or a constant. Pin,
 slider, universal, ball, gimbal, planar and free joints are the same with fixed axes. Locked coordinates stand where the
-file puts them. So does what another coordinate moves by a curve, such as the shift of a knee: it is held at the
+file puts them. So does what another coordinate moves by a curve, such as the shift of a knee: it is fixed at the
 coordinate's default and named, as muscles, constraints and wrapping surfaces are (:mod:`.osim_left_out`).
 
 Coordinates keep their names, zeros and signs, so that angles of a .mot fit as they are. OpenSim's ground has y up and
@@ -127,7 +127,7 @@ def _add(read: _Read, joint: Element) -> None:
 
 
 def _axes(joint: Element, where: str, coupled: list[str]) -> list[_Axis]:
-    """What a joint does at all its axes, rotations first; what is held of it is appended to ``coupled``."""
+    """What a joint does at all its axes, rotations first; what is fixed of it is appended to ``coupled``."""
     coordinates = {each.get("name", ""): each for each in joint.findall("coordinates/Coordinate")}
     if joint.tag in PLAIN:
         turns, shifts = PLAIN[joint.tag]

@@ -12,7 +12,7 @@ A shank ends at the lateral malleolus, a hand at the third knuckle. What lies be
 forearm has the hand in line, and a shank has the foot at the ankle. Moments about the other axis across a segment are
 somewhat larger, of a hand by up to a half.
 
-The table states no spread. Masses of one person differ from such a table by some 10 %, centres of mass by some 5 %
+The table states no sd. Masses of one person differ from such a table by some 10 %, centres of mass by some 5 %
 (`SPREAD`), and lengths by so much that they are learned from the recording, beginning at the table's.
 """
 

@@ -28,7 +28,7 @@ WINDOW, ORDER = 9, 3
 
 
 class Posed(Protocol):
-    """What is asked of a model: sizes of its state (z, δ, v, a), and what its sensors show of one."""
+    """What is needed of a model: sizes of its state (z, δ, v, a), and what its sensors show of one."""
 
     nv: int
     na: int

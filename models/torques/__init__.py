@@ -27,7 +27,7 @@ not cover them.
 
 
 def default_torques(given: Iterable[str] = ()) -> TorqueProcess | list[TorqueProcess]:
-    """What a torque may be, where nobody says; the Ornstein–Uhlenbeck process where parameters of it are ``given``."""
+    """What a torque may be, by default; the Ornstein–Uhlenbeck process where parameters of it are ``given``."""
     if any(name.startswith("torque.") for name in given):
         return OrnsteinUhlenbeck()
     return [TORQUE_PROCESSES[name]() for name in SMOOTHNESS]
