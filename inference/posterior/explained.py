@@ -1,8 +1,8 @@
 """Whether a fitted model explains its recording, and with torques that such a body can have; if not, from which row on.
 
 Residuals are compared with the sensor's own noise. With r_p(t) the distance of what was observed of keypoint p from
-what the mode predicts, σ_p the larger of its track's jitter (:mod:`invdyn.recordings.jitter`) and of a stated noise, and L
-the body's reach, a row is not explained where
+what the mode predicts, σ_p the larger of its track's jitter (:mod:`invdyn.recordings.jitter`) and of a stated noise,
+and L the body's reach, a row is not explained where
 
     r_p(t) > max(`TIMES` σ_p, `SHARE` L)        an encoder, with r in rad: max(`TIMES` σ, `ANGLE`)
 
