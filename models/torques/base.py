@@ -25,6 +25,10 @@ class TorqueProcess(ABC):
     unconstrained: frozenset[str] = frozenset()
     """Parameters that may be negative (all others are positive)."""
 
+    def __repr__(self) -> str:
+        """Its kind and its numbers, the same in every process: a checkpoint knows by it which prior it has."""
+        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in vars(self).items())})"
+
     def size(self, num_joints: int) -> int:
         """Entries of z for this many joints."""
         return num_joints

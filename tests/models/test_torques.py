@@ -25,6 +25,18 @@ SCALE = torch.tensor([3.0, 0.4], dtype=F64)
 EVERY = pytest.mark.parametrize("name", TORQUE_PROCESSES)
 
 
+@EVERY
+def test_two_alike_say_the_same_of_themselves(name):
+    """What checkpoints compare: not where a process is in memory."""
+    own, other = TORQUE_PROCESSES[name](), TORQUE_PROCESSES[name]()
+    assert repr(own) == repr(other)
+    assert str(vars(own)) == str(vars(other))
+
+
+def test_others_say_other_numbers_of_themselves():
+    assert repr(SmoothAndRough(0.2)) != repr(SmoothAndRough(0.3))
+
+
 def step(process, dt, parameters, dtype=F64):
     """Matrix (Z, Z) and covariance (Z, Z) of one step, from the process's own mean and noise."""
     dt = torch.tensor([dt], dtype=dtype)
