@@ -65,13 +65,18 @@ def run_trials(
     where = "." if not isinstance(table, str | Path) else str(table)
     given = ManyTrials(recordings=[where], body=str(body) if isinstance(body, str | Path) else None, **options)
     given.check(method)
-    rows = read_rows(given) if isinstance(table, str | Path) else checked(table.astype(str).to_dict("records"), "table")
+    rows = read_rows(given) if isinstance(table, str | Path) else checked(_texts(table), "table")
     from invdyn.inference.study.run import run_study
 
     read = read_trials(rows, given, None if isinstance(body, str | Path) else body, progress)
     with open_workers(None if workers is None else str(workers)) as executor:
         kept = given.checkpoint
         return run_study(read, how(given, method), executor=executor, checkpoint=kept, progress=progress)
+
+
+def _texts(table: "pd.DataFrame") -> list[dict[str, Any]]:
+    """Rows of a frame as texts; what is missing in it is empty."""
+    return table.astype(object).where(table.notna(), "").astype(str).rename(columns=str).to_dict("records")
 
 
 def how(given: Inference, method: str) -> Any:
@@ -83,7 +88,9 @@ def how(given: Inference, method: str) -> Any:
     if given.truth is not None or given.forces is not None:
         raise InputError("--truth and --forces are of one recording: leave them out of a study")
     arguments = given.arguments
-    sizes = SMCOptions(given.filters, given.particles, given.draws, device=given.device)
+    sizes = SMCOptions(
+        given.filters, given.particles, given.draws, device=given.device, filters_per_task=given.filters_per_task
+    )
     names = ("torque", "family", "passive", "hide_torque", "learn_cameras")
     binding = {name: arguments[name] for name in names}
     return How(method, sizes, given.seed, arguments["learn_lengths"], None, binding)
@@ -91,15 +98,19 @@ def how(given: Inference, method: str) -> Any:
 
 def study_text(study: "Study") -> str:
     """What a study found, in a few lines."""
+    from invdyn.recordings import InputError
+
     lines = [f"{len(study.posteriors)} of {len(study.trials)} trials, {len(study.sessions)} sessions"]
     reasons = [f"left out: {row.trial}: {row.reason}" for row in study.reasons.itertuples()]
     lines += reasons[:SAID]
     if len(reasons) > SAID:
         lines.append(f"left out: {len(reasons) - SAID} more, named in left_out.csv")
     for factor in dict.fromkeys(name for trial in study.trials for name in trial.factors):
-        if len(study.posteriors) < 2 or len(set(study.table[factor]) - {""}) < 2:
+        try:
+            differences = study.difference(factor)
+        except InputError:  # of one level, or no joint has two
             continue
-        for row in study.difference(factor).itertuples():
+        for row in differences.itertuples():
             if row.quantity in ("peak", "impulse", "mean_power"):
                 word = "differs" if row.found else "not told apart"
                 lines.append(

@@ -14,10 +14,11 @@
 A folder stands for a table of its files, each folder in it a session.
 """
 
-import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,7 +54,8 @@ class ManyTrials(Inference):
 
 def read_rows(given: Inference) -> list[dict[str, str]]:
     """Rows of the table, or of a folder's files. Raises InputError or OSError."""
-    from invdyn.recordings import InputError, check_readable
+    from invdyn.recordings import InputError
+    from invdyn.recordings.tables import read_rows as read_table_rows
 
     if len(given.recordings) != 1:
         raise InputError(f"expected one table or folder, got {len(given.recordings)}")
@@ -65,8 +67,16 @@ def read_rows(given: Inference) -> list[dict[str, str]]:
         names = [file.relative_to(path) for file in files]
         own = zip(files, names, strict=True)
         return [{"recording": str(file), "trial": str(name), "session": str(name.parent)} for file, name in own]
-    with open(check_readable(path), encoding="utf-8-sig", newline="") as file:
-        rows = [{str(k).strip(): (v or "").strip() for k, v in row.items() if k} for row in csv.DictReader(file)]
+    (_, header), *lines = read_table_rows(path)
+    if twice := [name for name, count in Counter(header).items() if name and count > 1]:
+        raise InputError(f"{path}: expected columns of different names, got {twice[0]!r} twice")
+    rows = []
+    for line, cells in lines:
+        if any(cells[len(header) :]):
+            what = f"{len(header)} cells, got {len(cells)}: put a cell that has a comma between quotes"
+            raise InputError(f"{path}: line {line}: expected {what}")
+        if any(cells):
+            rows.append({name: cell for name, cell in zip_longest(header, cells, fillvalue="") if name})
     return checked(rows, str(path), path.parent)
 
 
@@ -85,9 +95,11 @@ def checked(rows: list[dict[str, Any]], name: str, folder: Path = Path()) -> lis
             f"{name}: column {strange[0]!r} is not known{closest(strange[0], known)}: call a factor "
             f"{FACTOR}{strange[0]}, an event {EVENT}{strange[0]}, a remark note"
         )
+    if "condition" in rows[0] and f"{FACTOR}condition" in rows[0]:
+        raise InputError(f"{name}: expected one column of the condition, got condition and {FACTOR}condition")
     for row in rows:
         row["trial"] = row.get("trial") or row["recording"]
-        row.update({key: "" for key, value in row.items() if value in ("nan", "None", "NaN")})
+        row.update({key: "" for key, value in row.items() if value in ("nan", "NaN")})
         if row["recording"]:
             parts = row["recording"].split(";")
             row["recording"] = ";".join(_placed(part.strip(), folder) for part in parts)
@@ -165,6 +177,7 @@ def _events(row: Mapping[str, str], recording: Any) -> dict[str, float]:
     times = {name.removeprefix(EVENT): _number(name, text) for name, text in row.items() if name.startswith(EVENT)}
     if row.get("events") and recording is not None:
         header, *lines = (cells for _, cells in read_table_rows(row["events"]))
+        lines = [[*cells, *[""] * len(header)] for cells in lines]  # a line may end early
         if not {"event", "time"} <= {*header}:
             raise InputError(f"{row['events']}: expected columns event and time, got {', '.join(header)}")
         offset = _number("clock_offset", row.get("clock_offset") or "0")

@@ -12,6 +12,7 @@ from invdyn.inputs import load_body
 from invdyn.models import person
 from invdyn.recordings import InputError, read_keypoint_csv, write_keypoint_csv
 from invdyn.simulate import random_arm, record
+from invdyn.study_commands import _texts, how
 from invdyn.study_table import ManyTrials, read_rows, read_trials
 from invdyn.view import view_of
 
@@ -87,6 +88,27 @@ def test_events_have_a_clock_of_their_own(recorded, tmp_path):
     assert math.isnan(trial.events["release"])
 
 
+def test_a_line_of_events_may_end_early(recorded, tmp_path):
+    (tmp_path / "events.csv").write_text("event,time\ntouch\n")
+    row = {"recording": str(recorded / "t0.csv"), "trial": "t0", "events": str(tmp_path / "events.csv")}
+    (trial,) = read_trials([row], ManyTrials(recordings=["."], body=BODY), None)
+    assert math.isnan(trial.events["touch"])
+
+
+def test_none_is_a_condition_and_a_missing_cell_is_not(recorded, tmp_path):
+    (tmp_path / "table.csv").write_text("recording,condition,\nt0.csv,None,\n,,\nt1.csv,,\n")
+    rows = read_rows(ManyTrials(recordings=[str(tmp_path / "table.csv")]))
+    assert [row["condition"] for row in rows] == ["None", ""]
+    frame = pd.DataFrame(
+        {"recording": ["t0.csv", "t1.csv"], "condition": ["None", None], "event_touch": [0.5, math.nan]}
+    )
+    assert [tuple(row.values()) for row in _texts(frame)] == [("t0.csv", "None", "0.5"), ("t1.csv", "", "")]
+
+
+def test_batches_are_of_the_size_that_is_asked_for():
+    assert how(ManyTrials(recordings=["."], filters_per_task=4), "smc").sizes.filters_per_task == 4
+
+
 def test_a_row_may_have_a_person_of_its_own(tmp_path):
     arm = person(1.8, 75.0, "m")
     recording, _ = record(random_arm(arm, duration=0.6, fps=20, seed=0), 0)
@@ -105,10 +127,16 @@ def test_a_row_may_have_a_person_of_its_own(tmp_path):
         ("file,session\nt0.csv,1\n", "expected a column recording"),
         ("recording\n", "one trial a row"),
         ("recording,event_touch\nt0.csv,soon\n", "expected a number, got 'soon'"),
+        ("recording,subject,condition\nt0.csv,Doe, Jane,x\n", "line 2: expected 3 cells, got 4"),
+        ("recording,condition,condition\nt0.csv,x,y\n", "'condition' twice"),
+        ("recording,condition,factor_condition\nt0.csv,x,y\n", "one column of the condition"),
+        ("recording,factor_joint\nt0.csv,x\n", "another name of factor 'joint'"),
+        ("recording,event_\nt0.csv,0.1\n", "got an empty one"),
+        ("recording,subject\nt0.csv,J\xfcrgen\n", "not a text table"),
     ],
 )
 def test_a_table_that_cannot_be_meant_is_refused(text, says, tmp_path, run):
-    (tmp_path / "table.csv").write_text(text)
+    (tmp_path / "table.csv").write_bytes(text.encode("latin-1"))
     done = run("trials", tmp_path / "table.csv", "--body", BODY, "--out", tmp_path / "study")
     assert done.exit_code == 2
     assert says in done.stderr
