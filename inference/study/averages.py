@@ -27,7 +27,7 @@ INTERVAL = (0.05, 0.95)
 def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], align: str, factor: str) -> pd.DataFrame:
     """One row a joint, level and time: mean, q05, q95, of a further trial trial_q05 and trial_q95, unit, trials.
 
-    Raises InputError where fewer than two trials have the event within them.
+    Raises InputError where fewer than two trials have the event within them, or a joint in common.
     """
     own = [
         place
@@ -40,24 +40,20 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
     ends = np.array([_ends(posteriors[place]) - trials[place].events[align] for place in own])
     begin = max(np.median(ends[levels == level, 0]) for level in np.unique(levels))
     end = min(np.median(ends[levels == level, 1]) for level in np.unique(levels))
-    times = np.linspace(begin, end, TIMES)
-    mean, spread = (
-        np.stack([_aligned(posteriors[place], name, times + trials[place].events[align]) for place in own])
-        for name in ("mean", "spread")
-    )
-    known = said(posteriors[own[0]])
+    times = np.unique(np.linspace(begin, end, TIMES))  # one where all begin or end at the event
+    subjects, sessions = (np.array([getattr(trials[i], each) for i in own]) for each in ("subject", "session"))
+    curves = [_aligned(posteriors[place], times + trials[place].events[align]) for place in own]
     rows = []
-    for k, joint in enumerate(known["joints"]):
-        unit = known["units"]["torque"]
-        unit = unit if known["turns"][k] else unit.replace("N·m", "N")
+    for joint in dict.fromkeys(joint for each in curves for joint in each):
+        # A trial whose body lacks the joint is not there.
+        mean, spread = np.stack([each.get(joint, np.full((2, len(times)), np.nan)) for each in curves], axis=1)
+        unit = next(_unit(posteriors[place], joint) for place, each in zip(own, curves, strict=True) if joint in each)
         for n, time in enumerate(times):
-            there = np.isfinite(mean[:, n, k])
-            subject, session = (
-                np.array([getattr(trials[i], each) for i in own])[there] for each in ("subject", "session")
-            )
+            there = np.isfinite(mean[:, n])
             if there.sum() < MIN_TRIALS:
                 continue
-            pooled = pool(mean[there, n, k], spread[there, n, k], levels[there], subject, session, SETS)
+            labels = levels[there], subjects[there], sessions[there]
+            pooled = pool(mean[there, n], spread[there, n], *labels, SETS)
             for level in pooled.levels:
                 average, further = pooled.average(level), pooled.new_trial(level)
                 numbers = {"mean": average.mean, "q05": average.quantile(INTERVAL[0])}
@@ -67,6 +63,8 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
                 }
                 what = {"joint": joint, factor: level, "time": time}
                 rows.append({**what, **numbers, "unit": unit, "trials": int((levels[there] == level).sum())})
+    if not rows:
+        raise InputError(f"expected a joint that {MIN_TRIALS} trials or more with event {align!r} have, got none")
     return pd.DataFrame(rows)
 
 
@@ -79,6 +77,14 @@ def _covers(part: Tensors, when: float) -> bool:
     return bool(first <= when <= last)  # of NaN neither
 
 
-def _aligned(part: Tensors, name: str, times: np.ndarray) -> np.ndarray:
-    """(N, K) at times on the trial's clock."""
-    return at_times(part["time"].numpy(), part[name].numpy()[None], times)[0]
+def _aligned(part: Tensors, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean and spread (2, N) of each joint at times on the trial's clock."""
+    both = np.stack([part[name].numpy() for name in ("mean", "spread")])
+    found = at_times(part["time"].numpy(), both, times)
+    return {joint: found[:, :, k] for k, joint in enumerate(said(part)["joints"])}
+
+
+def _unit(part: Tensors, joint: str) -> str:
+    known = said(part)
+    unit = known["units"]["torque"]
+    return unit if known["turns"][known["joints"].index(joint)] else unit.replace("N·m", "N")

@@ -88,13 +88,20 @@ def _reasons(parts: dict[int, Tensors]) -> dict[int, str]:
 
 
 def _groups(trials: Sequence[Trial], fits: dict[int, Tensors]) -> list[tuple[int, ...]]:
-    """Places of trials that share: of one session, with one body and the same parameters to fit."""
+    """Places of trials that share: of one session, with one body, the same points and parameters to fit."""
     groups: dict[Any, list[int]] = {}
     for place, fit in fits.items():
         form = tuple((name, tuple(value.shape)) for name, value in parameters_of(fit).items())
         trial = trials[place]
-        groups.setdefault((trial.subject, trial.session, repr(trial.body), form), []).append(place)
+        points = _names(trial)
+        groups.setdefault((trial.subject, trial.session, repr(trial.body), points, form), []).append(place)
     return [tuple(members) for members in groups.values()]
+
+
+def _names(trial: Trial) -> tuple:
+    """Of what the recording's numbers are."""
+    recording = trial.recording
+    return () if recording is None else (recording.keypoint_names, recording.joint_names, recording.length_unit)
 
 
 def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
@@ -106,7 +113,7 @@ def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
         data += [] if views is None else [views.pixels]
         tensors += [torch.as_tensor(each) for each in data if each is not None]
     bodies = hashlib.sha256("\n".join(repr(trial.body) for trial in trials).encode()).hexdigest()[:16]
-    labels = [[*trial.labels.values(), *map(str, trial.events.items())] for trial in trials]
+    labels = [[*trial.labels.items(), *map(str, trial.events.items()), _names(trial)] for trial in trials]
     return {
         "version": version("invdyn"),
         "recordings": digest(*tensors),

@@ -11,12 +11,14 @@
                                                 [trial], s by its clock
     sto/<trial>.sto                             torques of each trial with their 90 % band, for OpenSim
 
-All of it appears together, or none (:func:`invdyn.recordings.whole_set`).
+In names of files, letters, digits, - and . stay; all else becomes _. All files appear together
+(:func:`invdyn.recordings.whole_set`).
 """
 
 import re
 from collections.abc import Iterable
 from contextlib import suppress
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ import xarray as xr
 from invdyn.inference.study.figure import plot_averages
 from invdyn.inference.study.work import CURVES, said
 from invdyn.recordings import InputError, atomic_path, new_folder, whole_set, write_moments, write_text
+
+LONGEST = 100
+"""Characters of a name as a part of a file's."""
 
 
 def save_study(study: Any, folder: Path) -> list[Path]:
@@ -47,8 +52,9 @@ def save_study(study: Any, folder: Path) -> list[Path]:
         for name, table in _tables(study).items():
             write_text(place(f"{name}.csv"), table.to_csv(index=False, lineterminator="\n"))
         for event, averages in _averages(study).items():
-            write_text(place(f"averages_{event}.csv"), averages.to_csv(index=False, lineterminator="\n"))
-            with atomic_path(place(f"averages_{event}.png")) as temporary:
+            name = _events(study)[event]
+            write_text(place(f"averages_{name}.csv"), averages.to_csv(index=False, lineterminator="\n"))
+            with atomic_path(place(f"averages_{name}.png")) as temporary:
                 plot_averages(averages, event, _factors(study)[0]).savefig(temporary, dpi=150)
         for name in ("posteriors", "sto"):
             (folder / name).mkdir(exist_ok=True)
@@ -83,8 +89,8 @@ def session_posterior(study: Any, members: list[int]) -> xr.Dataset:
         values[: len(part["time"])] = part["time"].numpy()
     trials = [study.trials[place] for place in members]
     labels = {name: ("trial", [trial.factors.get(name, "") for trial in trials]) for name in _factors(study)}
-    events = dict.fromkeys(name for trial in trials for name in trial.events)
-    labels |= {f"event_{name}": ("trial", [trial.events.get(name, np.nan) for trial in trials]) for name in events}
+    for event, name in _events(study).items():
+        labels[f"event_{name}"] = ("trial", [trial.events.get(event, np.nan) for trial in trials])
     data = xr.Dataset(
         {**variables, "time": (["trial", "row"], time, {"units": "s"})},
         coords={"trial": [trial.name for trial in trials], "joint": known["joints"], **labels},
@@ -94,11 +100,18 @@ def session_posterior(study: Any, members: list[int]) -> xr.Dataset:
 
 def _unlike(names: Iterable[str]) -> list[str]:
     """Names as parts of files' names, each unlike any other."""
-    found: list[str] = []
+    found: dict[str, str] = {}  # some systems do not tell a from A
     for name in names:
-        own = re.sub(r"[^\w.-]+", "_", name) or "_"
-        found.append(own if own not in found else f"{own}-{len(found)}")
-    return found
+        own = re.sub(r"[^\w.-]+", "_", name)[:LONGEST] or "_"
+        own = next(each for each in chain([own], (f"{own}-{k}" for k in count(2))) if each.lower() not in found)
+        found[own.lower()] = own
+    return list(found.values())
+
+
+def _events(study: Any) -> dict[str, str]:
+    """Names of events as parts of files' names, by event."""
+    events = sorted({name for trial in study.trials for name in trial.events})
+    return dict(zip(events, _unlike(events), strict=True))
 
 
 def _factors(study: Any) -> list[str]:
@@ -119,17 +132,16 @@ def _tables(study: Any) -> dict[str, pd.DataFrame]:
     factors = _factors(study)
     for factor, name in zip(factors, _unlike(factors), strict=True):
         ending = "" if len(factors) == 1 else f"_{name}"
-        if len(study.posteriors) > 1:
-            tables[f"summary{ending}"] = study.summary(factor)
-            if len(set(study.table[factor]) - {""}) > 1:
-                tables[f"differences{ending}"] = study.difference(factor)
-    return tables
+        tables[f"summary{ending}"] = study.summary(factor)
+        with suppress(InputError):  # of one level, or no joint has two
+            tables[f"differences{ending}"] = study.difference(factor)
+    return {name: table for name, table in tables.items() if len(table) or name == "left_out"}
 
 
 def _averages(study: Any) -> dict[str, pd.DataFrame]:
     """By event, of the first factor; none of an event that too few trials have."""
     found = {}
-    for event in sorted({name for trial in study.trials for name in trial.events}):
+    for event in _events(study):
         with suppress(InputError):
             found[event] = study.averages(event, _factors(study)[0])
     return found

@@ -10,6 +10,15 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.models import ArticulatedBody
 from invdyn.recordings import InputError, Recording
 
+TAKEN = frozenset(
+    {
+        *("trial", "subject", "session", "joint", "quantity", "unit", "mean", "sd", "q05", "median", "q95", "reason"),
+        *("time", "trials", "trial_q05", "trial_q95", "first", "second", "direction", "found"),
+        *("torque", "angle", "velocity", "draw", "row"),
+    }
+)
+"""Columns and variables of a study's files: no factor may have the name of one."""
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -22,6 +31,8 @@ class Trial:
         factors: value of each factor, such as {"condition": "load"}.
         events: time of each event by name, s, by the recording's clock; NaN where it did not happen.
         unread: why the recording could not be read; empty where it was.
+
+    Raises InputError for an infinite time, a factor or an event without a name, or a factor of a name in :data:`TAKEN`.
     """
 
     name: str
@@ -34,6 +45,10 @@ class Trial:
     unread: str = ""
 
     def __post_init__(self) -> None:
+        if "" in (*self.factors, *self.events):
+            raise InputError(f"{self.name}: expected a name of each factor and event, got an empty one")
+        if taken := [name for name in self.factors if name in TAKEN or name.startswith("event_") or "/" in name]:
+            raise InputError(f"{self.name}: expected another name of factor {taken[0]!r}: study files use it, or /")
         wrong = next((name for name, time in self.events.items() if np.isinf(time)), None)
         if wrong is not None:
             raise InputError(f"{self.name}: expected the time of event {wrong!r} in s, got {self.events[wrong]}")

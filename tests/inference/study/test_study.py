@@ -10,12 +10,15 @@ import xarray as xr
 from invdyn.inference import infer, open_executor
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.study import run as run_module
-from invdyn.inference.study.run import run_study
+from invdyn.inference.study.run import _fingerprint, _groups, run_study
+from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import fit_trial, parameters_of, said, share_session
+from invdyn.inference.study.work import fit_trial, parameters_of, said, share_session, words
 from invdyn.inputs import load_body
+from invdyn.models import SmoothAndRough
 from invdyn.recordings import InputError, read_sto
 from invdyn.simulate import random_arm, record
+from invdyn.view import view_of
 
 HOW = How(sizes=SMCOptions(num_filters=16, num_draws=4), stored=8)
 BODY = load_body("paper_planar_arm")
@@ -204,6 +207,94 @@ def test_bands_hold_what_lies_within_trials_and_between_them(study):
     assert (averages["q95"] <= averages["trial_q95"]).all()
     assert averages["time"].min() == pytest.approx(-0.4)
     assert len(study.plot("touch").axes) == 2
+
+
+def made(seed, joints=("shoulder", "elbow"), begin=0.0):
+    """A posterior of that many joints, of no model."""
+    rng, names = np.random.default_rng(seed), ("torque", "angle", "velocity")
+    drawn = {name: torch.as_tensor(rng.normal(size=(8, 20, len(joints))).astype(np.float32)) for name in names}
+    moments = {"mean": drawn["torque"].double().mean(0), "spread": drawn["torque"].double().std(0)}
+    said_of_it = {"quantities": {"peak": "N·m"}, "joints": list(joints), "turns": [True] * len(joints), "notes": []}
+    units = {"units": {"torque": "N·m", "angle": "rad", "velocity": "rad/s"}}
+    numbers = torch.as_tensor(np.abs(rng.normal(size=(1, len(joints), 5))))
+    time = torch.linspace(begin, begin + 1, 20, dtype=torch.float64)
+    return {**drawn, **moments, "time": time, "statistics": numbers, **words(**said_of_it, **units)}
+
+
+def of_parts(parts, event="touch", names=None):
+    trials = [
+        Trial(
+            f"t{i}" if names is None else names[i], None, None, factors={"condition": "xy"[i % 2]}, events={event: 0.5}
+        )
+        for i in range(len(parts))
+    ]
+    return Study(tuple(trials), HOW, ({},) * len(trials), (), dict(enumerate(parts)), {})
+
+
+def test_an_average_is_of_the_trials_that_have_the_joint():
+    """Joints are known by name: one body has them in another order, and one has others."""
+    joints = [("shoulder", "elbow"), ("elbow", "shoulder"), ("hip", "knee", "ankle"), ("shoulder", "elbow")]
+    parts = [made(i, each) for i, each in enumerate(joints)]
+    averages = of_parts(parts).averages("touch")
+    assert set(averages["joint"]) == {"shoulder", "elbow"}
+    alike = [parts[0], {**parts[1], "mean": parts[1]["mean"].flip(-1), "spread": parts[1]["spread"].flip(-1)}, parts[3]]
+    alike[1] |= {"words": parts[0]["words"]}
+    study = of_parts(alike)
+    study = replace(study, trials=(*study.trials[:2], replace(study.trials[2], factors={"condition": "y"})))
+    expected = study.averages("touch")
+    shoulder = averages[averages["joint"] == "shoulder"]
+    assert shoulder["mean"].to_numpy() == pytest.approx(
+        expected.loc[expected["joint"] == "shoulder", "mean"].to_numpy()
+    )
+
+
+def test_bodies_without_a_joint_in_common_are_saved(tmp_path):
+    files = of_parts([made(0), made(1, ("hip", "knee"))]).save(tmp_path / "out")
+    assert {"trials.csv", "left_out.csv"} == {file.name for file in files if file.suffix == ".csv"}
+
+
+@pytest.mark.parametrize("event", ["press/left", "/../../touch", "a" * 300])
+def test_any_name_of_an_event_is_saved_within_the_folder(event, tmp_path):
+    study = of_parts([made(i) for i in range(4)], event)
+    files = study.save(tmp_path / "deep" / "out")
+    assert {file.parent.parent for file in files} <= {tmp_path / "deep", tmp_path / "deep" / "out"}
+    view = view_of(tmp_path / "deep" / "out")
+    assert [len(panel["trials"]) for panel in view.panels] == [4, 4]
+
+
+def test_no_trial_is_written_over_another(tmp_path):
+    study = of_parts([made(i) for i in range(4)], names=["x-2", "x", "X", "n" * 300])
+    files = study.save(tmp_path / "out")
+    assert len({str(file).lower() for file in files}) == len(files)
+
+
+def test_an_event_at_every_trial_s_end_or_begin_has_one_time(tmp_path):
+    study = of_parts([made(i, begin=(-0.5, 0.5)[i % 2]) for i in range(4)])
+    assert study.averages("touch")["time"].unique().tolist() == [0.0]
+    study.save(tmp_path / "out")
+    view_of(tmp_path / "out").html()
+
+
+@pytest.mark.parametrize("factor", ["", "joint", "time", "event_touch", "left/right"])
+def test_a_factor_that_files_cannot_name_is_refused(factor):
+    with pytest.raises(InputError, match="name of"):
+        Trial("t", None, None, factors={factor: "x"})
+
+
+def test_a_process_of_the_torque_does_not_change_a_checkpoint(trials):
+    def own(*given):
+        return _fingerprint(trials[:1], How(binding={"torque": SmoothAndRough(*given)}))
+
+    assert own() == own()
+    assert own() != own(0.3)
+
+
+def test_tracks_of_other_points_share_nothing(trials):
+    first = trials[0]
+    other = replace(first, name="o", recording=first.recording.with_keypoints(first.recording.keypoint_names[::-1]))
+    fits = dict.fromkeys(range(3), words(notes=[]))
+    assert _groups([first, trials[1], other], fits) == [(0, 1), (2,)]
+    assert _fingerprint([first], HOW) != _fingerprint([replace(other, name=first.name)], HOW)
 
 
 @pytest.mark.parametrize("given", [[], [simulated(0), simulated(0)]], ids=["none", "two of one name"])
