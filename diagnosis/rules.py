@@ -401,6 +401,9 @@ class Fixed:
     linear_servo_gain: float = number(
         0.7, "log", "of a servo's gain, that a regression about the file's takes", "stated"
     )
+    servo_column_weight: float = number(
+        100.0, "1", "times a column's size, for a servo's gain to be taken before it", "chosen"
+    )
     velocity_power: float = number(0.95, "1", "of a velocity's power, that a motion's frequencies have", "stated")
     cutoff_factor: float = number(2.5, "1", "times those, a regression's frequencies", "measured: DFKI 01 and 03, WAM")
     cross_validation_folds: int = number(6, "folds", "of neighbouring rows, each predicted by the others", "effort")

@@ -6,6 +6,7 @@ which no expansion about the file's gain describes. So a regression is made abou
     s = K (c − q) = γ τ + Xβ + e,     τ what the file asks for,     X = (q̇, sgn q̇, q̈, 1)
 
 It is a regression of s on τ, and not of τ on s, as all that the file lacks moves s and not τ (instrumental variables).
+Where τ says the same as X, as at a hinge that no gravity loads, it is γ that counts: X has a small weight.
 The true gain is K/γ. Within a factor of two of the file's it stays 1, and the regression itself finds the rest. Rows in
 which the file's servo would be at its limits either tell nothing, or are like others, as its gain is less. Of the two,
 that is taken which leaves less of what the servo then gives, s/γ within its limits.
@@ -59,10 +60,13 @@ def _regressed(
 ) -> tuple[float, float, float]:
     """Rms N·m that is left of all rows, γ and its standard error, by some ``rows``."""
     unit = np.maximum(np.sqrt((X[rows] ** 2).mean(0)), 1e-300)
+    unit[1:] *= FIXED.servo_column_weight
     values, *_ = np.linalg.lstsq(X[rows] / unit, demanded[rows], rcond=None)
     fitted = X / unit @ values
     inverse = np.linalg.pinv(X[rows].T @ X[rows] / np.outer(unit, unit))
     gamma = float(values[0] / unit[0])
+    if gamma <= 0:
+        return math.inf, gamma, math.nan
     sd = math.sqrt(float(inverse[0, 0] * ((demanded - fitted)[rows] ** 2).mean())) / float(unit[0])
     left = np.clip(demanded / gamma, *limits) - fitted / gamma
-    return float(np.sqrt((left**2).mean())) if gamma > 0 else math.inf, gamma, sd
+    return float(np.sqrt((left**2).mean())), gamma, sd

@@ -9,9 +9,11 @@ import torch
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
+from invdyn.diagnosis.regression.linear_effects import required_by_file
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
+from invdyn.diagnosis.regression.servo_gains import servo_gains
 from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.registry import dynamics_for
@@ -297,3 +299,24 @@ def test_rows_in_which_a_servo_is_at_its_limit_say_nothing():
     target = halfway(motion, motion.q + np.where(beyond, 3.0 * whole.torques, whole.torques) / 60.0)
     own = found(regress(replace(whole, torques=60.0 * target), body))
     assert own["coulomb_friction", "shoulder", "torque"].value == pytest.approx(0.5, rel=0.25)
+
+
+@pytest.mark.parametrize("times", [1.0, 40.0])
+def test_a_servos_gain_at_a_hinge_that_no_gravity_loads(times):
+    """What the file asks for is there a sum of acceleration and velocity, as a rotor and damping would be."""
+    motor = Motor("position", 60.0 * times, 60.0 * times, 0.4)
+    plain = planar_body("one", [Link("upper", "shoulder", "elbow", 0.4, 1.5)], gravity=(0.0, 0.0))
+    body = replace(plain, links=(replace(plain.links[0], parts=JointParts(damping=0.1, motor=motor)),))
+    motion = Motion(3, 6.0)
+    for name in ("q", "qd", "qdd"):
+        setattr(motion, name, getattr(motion, name)[:, :1])
+    given = inverse(dynamics_for(plain), plain.parameters(), motion) + 0.5 * motion.qd
+    target = np.interp(motion.time + 0.5 / RATE, motion.time, (motion.q + given / 60.0)[:, 0])[:, None]
+    angles = motion.q + 3e-4 * np.random.default_rng(0).standard_normal(motion.q.shape)
+    rows = Recording(motion.time, np.empty((len(angles), 0, 2)), (), None, angles, motor.gain * target, ("shoulder",))
+    seen = measured_motion(rows, body)
+    gains = servo_gains(seen, required_by_file(dynamics_for(body), body, seen), body)
+    assert gains.factor == pytest.approx([times], rel=0.01)
+    assert (
+        servo_gains(measured_motion(rows, body, passive=True), seen.q, body).factor == 1.0
+    )  # no torque: nothing to say
