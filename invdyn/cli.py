@@ -239,7 +239,7 @@ def diagnose(
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
     from invdyn.recordings import InputError, new_folder, whole_set
 
-    from .outputs import OutputFolder
+    from .outputs import OutputFolder, check_folder
 
     given.check()
     outputs = OutputFolder.of_diagnosis(out)
@@ -259,7 +259,7 @@ def diagnose(
         check_ensemble(count)
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
         members = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
-        check_outputs([copies / "randomisation.json", *members], given.files)
+        check_folder(copies, [copies / "randomisation.json", *members], given.files)
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with ProgressBar() as progress:
