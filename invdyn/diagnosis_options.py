@@ -119,9 +119,15 @@ class Diagnosed(Recorded):
         return tuple(name.strip() for name in self.exclude.split(",") if name.strip())
 
     @property
+    def first(self) -> list[str]:
+        """Files of the first one: tables may be of several cameras, and each log that a map is of is a recording."""
+        return self.recordings if self.mapping is None or self.calibration else self.recordings[:1]
+
+    @property
     def more(self) -> tuple[str, ...]:
-        """Names of `others`."""
-        return tuple(name.strip() for name in (self.others or "").split(",") if name.strip())
+        """Recordings after the first, and names of `others`."""
+        named = (name.strip() for name in (self.others or "").split(",") if name.strip())
+        return (*self.recordings[len(self.first) :], *named)
 
     @property
     def other_recordings(self) -> list[str]:
@@ -136,7 +142,7 @@ class Diagnosed(Recorded):
         from .inputs import LOG, TABLE, check_options, read_recordings, source_of
 
         later = [*self.more, *([self.held_out] if self.held_out else [])]
-        sources = [source_of(self.recordings, self.calibration, self.mapping)]
+        sources = [source_of(self.first, self.calibration, self.mapping)]
         sources += [source_of([name], None, self.mapping) for name in later]
         sources += [TABLE] * (self.camera is not None)
         check_options(self.recording, sources, self.reading)
@@ -151,7 +157,7 @@ class Diagnosed(Recorded):
                 refused.extend(said)
                 yield recording, reading.film
 
-        first, *others = recordings(self.recordings, frames=self.frames, **more)
+        first, *others = recordings(self.first, frames=self.frames, **more)
         recording, film = first
         together = [each for each, _ in others]
         together += [each for name in self.more for each, _ in recordings([name], episodes="0")]

@@ -115,6 +115,11 @@ class Recorded:
         return self.recordings[0]
 
     @property
+    def first(self) -> list[str]:
+        """Files of the first one: all that are given, as of several cameras, where a command takes one recording."""
+        return self.recordings
+
+    @property
     def tracked(self) -> list[str]:
         """Files of the recordings; with a calibration a name may say the camera, "cam1=tracks.csv"."""
         return [name.rpartition("=")[2] if self.calibration else name for name in self.recordings]
@@ -168,7 +173,7 @@ class Recorded:
         options = {name: getattr(self, name) for name in names}
         if isinstance(self.metres_a_pixel, float):
             options["scale"] = self.metres_a_pixel
-        table = filmed and not self.plane and source_of(self.recordings, self.calibration, self.mapping) is TABLE
+        table = filmed and not self.plane and source_of(self.first, self.calibration, self.mapping) is TABLE
         return load_body(str(self.body), filmed=filmed, recording=self.recording if table else None, **options)
 
     def tracks_file(self, default: Path) -> Path | None:

@@ -58,6 +58,7 @@ def calls(monkeypatch):
     def diagnose(recording, body, *, seed=0, progress=None, **options):
         calls.append({"recording": recording, "body": body, "seed": seed, **options})
         progress(1, 2, "causes")
+        recording = recording[0] if isinstance(recording, list) else recording
         if recording.name == "interrupt":
             raise KeyboardInterrupt
         if recording.num_frames == 2:
@@ -212,6 +213,37 @@ def test_numbers_of_the_file_are_freed(folder, run, calls):
     outcome = run(*DIAGNOSE, "--estimate", "armature.shoulder")
     assert outcome.exit_code == 2
     assert "no armature at shoulder that could be learned" in outcome.stderr
+
+
+MAP = """
+time = "t"
+time_unit = "s"
+[joints.shoulder]
+angle = {track = "s", unit = "rad"}
+torque = {track = "s_tau"}
+[joints.elbow]
+angle = {track = "e", unit = "rad"}
+torque = {track = "e_tau"}
+"""
+
+
+def test_several_logs_with_one_map_are_recordings_of_one_arm(folder, run, calls):
+    """As those of --with are, which come after them; without a map they may be of several cameras."""
+    rows = [f"{0.03 * t:.2f},{0.1 * t},.2,1,2\n" for t in range(12)]
+    for name in "abc":
+        (folder / f"{name}.csv").write_text("t,s,e,s_tau,e_tau\n" + "".join(rows))
+    (folder / "map.toml").write_text(MAP)
+    outcome = run("diagnose", "a.csv", "b.csv", "--with", "c.csv", "--map", "map.toml", "--force", *DIAGNOSE[2:])
+    assert outcome.exit_code == 0, outcome.output
+    assert [Path(each.name).stem for each in calls[0]["recording"]] == ["a", "b", "c"]
+    outcome = run("diagnose", "a.csv", "b.csv", "./a.csv", "--map", "map.toml", *DIAGNOSE[2:])
+    assert "a.csv: expected another recording of the same arm" in outcome.stderr
+
+
+def test_an_ensemble_makes_its_folder(folder, run, calls):
+    outcome = run(*DIAGNOSE, "--ensemble", "3", "copies/of/arm")
+    assert outcome.exit_code == 0, outcome.output
+    assert len(list((folder / "copies/of/arm").glob("robot_*.toml"))) == 3
 
 
 BAD = {
