@@ -6,7 +6,8 @@ y_i is a trial's posterior mean, s_i its posterior sd, c(i) its condition, z_g(i
 under this condition, and its subject under this condition (the effect of the condition then differs between subjects).
 τ_0 is the sd between trials of one cell. A grouping is left out where the design cannot tell it from another one.
 Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–534). The scale of that between subjects is
-the sd of all y, of the others the sd of y about its subject's mean.
+the sd of all y, of the others the sd of y about its subject's mean; of τ_0 twice that, as the sd of few trials is often
+much too small (measured: of four trials, 90 % intervals of a difference then hold .93, else .80).
 
 Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
 Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is needed of μ is
@@ -27,6 +28,8 @@ from scipy.stats import chi2, multivariate_t, qmc
 SETS, ROUNDS, DF, WIDER = 1024, 2, 5.0, 1.3
 LEAST = 1e-4
 """Of the scale: below it an sd counts as none."""
+OF_TRIALS = 2.0
+"""Of the scale: prior scale of the spread between trials."""
 MIN_TRIALS = 2
 
 
@@ -126,7 +129,7 @@ def pool(
     groups = groupings(condition, subject, session)
     design = np.concatenate([np.eye(len(levels))[own], *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
-    log_scale = np.log([1.0, *(wide if name == "subject" else 1.0 for name in groups)])
+    log_scale = np.log([OF_TRIALS, *(wide if name == "subject" else 1.0 for name in groups)])
     log_tau, log_weights = _prior_points(log_scale, sets), np.zeros(sets)
     log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
     for _ in range(ROUNDS):

@@ -52,7 +52,7 @@ def test_the_spreads_are_integrated_out_as_on_a_grid():
     groups = list(groupings(CONDITION, SUBJECT, ONE).values())
     x, _ = design(groups)
     points = halfnorm.ppf((np.arange(24) + 0.5) / 24)
-    grid = np.array(np.meshgrid(within * points, ESTIMATES.std() * points, within * points)).reshape(3, -1).T
+    grid = np.array(np.meshgrid(2 * within * points, ESTIMATES.std() * points, within * points)).reshape(3, -1).T
     parts = [dense(tau, ESTIMATES, ERRORS, x, groups) for tau in grid]
     logs = np.array([each[0] for each in parts])
     weights = np.exp(logs - logsumexp(logs))
@@ -68,6 +68,19 @@ def test_the_spreads_are_integrated_out_as_on_a_grid():
     for share in (0.05, 0.95):
         assert found.quantile(share) == pytest.approx(exact.quantile(share), abs=0.1 * exact.sd)
     assert found.direction == pytest.approx(exact.direction, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_few_trials_of_one_subject_have_intervals_that_hold_the_truth(count):
+    """As by Student's t; 300 studies without an effect, so that a share of .9 is known to .02."""
+    rng, labels = np.random.default_rng(1), ("xyxy"[:count], "a" * count, "1" * count)
+    held, found = [], []
+    for _ in range(300):
+        own = pool(rng.normal(size=count), np.full(count, 0.05), *map(list, labels), 256).difference("x", "y")
+        held.append(own.quantile(0.05) < 0.0 < own.quantile(0.95))
+        found.append(own.direction >= 0.975)
+    assert np.mean(held) > 0.88
+    assert np.mean(found) < 0.06
 
 
 def test_trials_known_exactly_and_alike_leave_the_plain_difference():
