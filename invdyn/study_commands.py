@@ -105,6 +105,10 @@ def study_text(study: "Study") -> str:
     lines += reasons[:SAID]
     if len(reasons) > SAID:
         lines.append(f"left out: {len(reasons) - SAID} more, named in left_out.csv")
+    doubts = [f"in doubt: {row.trial}: {row.doubt}" for row in study.doubts.itertuples()]
+    lines += doubts[:SAID]
+    if len(doubts) > SAID:
+        lines.append(f"in doubt: {len(doubts) - SAID} more, named in in_doubt.csv")
     for factor in dict.fromkeys(name for trial in study.trials for name in trial.factors):
         try:
             differences = study.difference(factor)

@@ -162,6 +162,10 @@ def _of_study(folder: Path, align: str | None) -> View:
     styles = dict(zip(levels, STYLES * len(levels), strict=False))
     time = np.unique(averages["time"])
     left_out = pd.read_csv(folder / "left_out.csv", dtype=str, keep_default_na=False)
+    doubts = [f"{each.trial} is left out: {each.reason}" for each in left_out.itertuples()]
+    if (in_doubt := folder / "in_doubt.csv").exists():
+        table = pd.read_csv(in_doubt, dtype=str, keep_default_na=False)
+        doubts += [f"{each.trial}: {each.doubt}" for each in table.itertuples()]
     curves = _aligned(folder, event, factor, time)
     view = View(
         title=f"Torques of {averages.groupby(factor)['trials'].max().sum()} trials by {factor}",
@@ -173,7 +177,7 @@ def _of_study(folder: Path, align: str | None) -> View:
         arms={},
         draws=np.empty(0),
         observed=np.empty(0),
-        doubts=[f"{each.trial} is left out: {each.reason}" for each in left_out.itertuples()],
+        doubts=doubts,
         foot=f"Events to align at: {', '.join(events)}.",
     )
     view.notes["torque"] = (
@@ -182,7 +186,7 @@ def _of_study(folder: Path, align: str | None) -> View:
     for joint in averages["joint"].unique():
         own = averages[averages["joint"] == joint]
         sides = []
-        for level in levels:
+        for level in sorted(own[factor].unique()):
             rows = own[own[factor] == level].set_index("time").reindex(time)
             side = {"name": f"{level or factor} ({rows['trials'].max():g} trials)", "style": styles[level]}
             named = {"low": "trial_q05", "lower": "q05", "middle": "mean", "upper": "q95", "high": "trial_q95"}
@@ -223,4 +227,4 @@ def _rows(count: int) -> np.ndarray:
 
 
 def _thinned(rows: np.ndarray, count: int) -> str:
-    return "" if len(rows) == count else f"Every {rows[1]}th of {count} rows is shown."
+    return "" if len(rows) == count else f"One in {rows[1]} of {count} rows is shown."

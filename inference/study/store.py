@@ -2,6 +2,7 @@
 
     trials.csv        one row a trial, joint and quantity
     left_out.csv      trials that do not count, with reasons
+    in_doubt.csv      trials that count and may be wrong, with reasons
     sessions.csv      parameters that each session shares
     summary.csv, differences.csv                of each factor of two levels or more; with several factors
                                                 summary_<factor>.csv and so on
@@ -128,14 +129,14 @@ def _sessions(study: Any) -> dict[str, list[int]]:
 
 
 def _tables(study: Any) -> dict[str, pd.DataFrame]:
-    tables = {"trials": study.table, "left_out": study.reasons, "sessions": study.parameters}
+    tables = {"trials": study.table, "left_out": study.reasons, "in_doubt": study.doubts, "sessions": study.parameters}
     factors = _factors(study)
     for factor, name in zip(factors, _unlike(factors), strict=True):
         ending = "" if len(factors) == 1 else f"_{name}"
         tables[f"summary{ending}"] = study.summary(factor)
         with suppress(InputError):  # of one level, or no joint has two
             tables[f"differences{ending}"] = study.difference(factor)
-    return {name: table for name, table in tables.items() if len(table) or name == "left_out"}
+    return {name: table for name, table in tables.items() if len(table) or name in ("left_out", "in_doubt")}
 
 
 def _averages(study: Any) -> dict[str, pd.DataFrame]:

@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from invdyn.inference.study.averages import average_curves
 from invdyn.inference.study.pooling import MIN_TRIALS, Pooled, pool
 from invdyn.inference.study.quantities import STATISTICS
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import parameters_of, said
+from invdyn.inference.study.work import NOT_SETTLED, parameters_of, said
 from invdyn.recordings import InputError
 
 if TYPE_CHECKING:
@@ -73,8 +74,22 @@ class Study:
         return pd.DataFrame(rows, columns=None if rows else ["trial", "subject", "session", "reason"])
 
     @property
+    def doubts(self) -> pd.DataFrame:
+        """Trials that count and may be wrong, each with why: a turn over a gap, say, or what its session shares."""
+        rows = []
+        for members, part in self.sessions:
+            for place in members:
+                own = said(self.fits[place])["notes"] if place in self.posteriors else []
+                if len(members) > 1:  # what the session shares takes the place of what it found alone
+                    own = [each for each in own if each != NOT_SETTLED]
+                shared = said(part)["notes"] if place in self.posteriors else []
+                rows += [(place, doubt) for doubt in (*own, *shared)]
+        labelled = [{**self.trials[place].labels, "doubt": doubt} for place, doubt in sorted(rows, key=itemgetter(0))]
+        return pd.DataFrame(labelled, columns=None if rows else ["trial", "subject", "session", "doubt"])
+
+    @property
     def parameters(self) -> pd.DataFrame:
-        """What each session shares: one row a parameter and entry, with the number of its trials and notes."""
+        """What each session shares: one row a parameter and entry, with the number of its trials."""
         rows = []
         for members, part in self.sessions:
             first = self.trials[members[0]]

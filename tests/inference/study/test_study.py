@@ -13,11 +13,12 @@ from invdyn.inference.study import run as run_module
 from invdyn.inference.study.run import _fingerprint, _groups, run_study
 from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import fit_trial, parameters_of, said, share_session, words
+from invdyn.inference.study.work import NOT_SETTLED, fit_trial, parameters_of, said, share_session, words
 from invdyn.inputs import load_body
 from invdyn.models import SmoothAndRough
 from invdyn.recordings import InputError, read_sto
 from invdyn.simulate import random_arm, record
+from invdyn.study_commands import study_text
 from invdyn.view import view_of
 
 HOW = How(sizes=SMCOptions(num_filters=16, num_draws=4), stored=8)
@@ -248,9 +249,32 @@ def test_an_average_is_of_the_trials_that_have_the_joint():
     )
 
 
+def test_what_is_in_doubt_is_said(tmp_path):
+    """Of a trial's own fit, and of what its session shares; whether the fit alone settled does not matter then."""
+    gap = "shoulder may have turned the other way"
+    study = of_parts([made(i) for i in range(3)])
+    fits = tuple(words(notes=notes) for notes in ([gap, NOT_SETTLED], [NOT_SETTLED], [NOT_SETTLED]))
+    sessions = (((0, 1), words(notes=["shared did not settle"])), ((2,), words(notes=[])))
+    study = replace(study, fits=fits, sessions=sessions)
+    expected = [("t0", gap), ("t0", "shared did not settle"), ("t1", "shared did not settle"), ("t2", NOT_SETTLED)]
+    assert [(row.trial, row.doubt) for row in study.doubts.itertuples()] == expected
+    assert f"in doubt: t0: {gap}" in study_text(study)
+    study.save(tmp_path / "out")
+    assert f"t0: {gap}" in view_of(tmp_path / "out").doubts
+
+
+def test_a_level_without_a_joint_is_not_drawn_of_it(tmp_path):
+    """Levels x and y of the arm, x alone of the leg."""
+    parts = [made(i, ("hip",) if i in (4, 6) else ("shoulder",)) for i in range(7)]
+    of_parts(parts).save(tmp_path / "out")
+    panels = {panel["joint"]: panel for panel in view_of(tmp_path / "out").panels}
+    assert [side["name"] for side in panels["shoulder"]["sides"]] == ["x (2 trials)", "y (3 trials)"]
+    assert [side["name"] for side in panels["hip"]["sides"]] == ["x (2 trials)"]
+
+
 def test_bodies_without_a_joint_in_common_are_saved(tmp_path):
     files = of_parts([made(0), made(1, ("hip", "knee"))]).save(tmp_path / "out")
-    assert {"trials.csv", "left_out.csv"} == {file.name for file in files if file.suffix == ".csv"}
+    assert {"trials.csv", "left_out.csv", "in_doubt.csv"} == {file.name for file in files if file.suffix == ".csv"}
 
 
 @pytest.mark.parametrize("event", ["press/left", "/../../touch", "a" * 300])
