@@ -110,6 +110,17 @@ class Choice:
         every = tuple(Statement(kind, self.kinds[kind], FIXED.plain_size) for kind in kinds if kind in self.kinds)
         return self._with_gains(self._fitted(every))
 
+    def including(self, best: Chosen, columns: Sequence[int]) -> Chosen:
+        """The set with these ``columns``, whether they gain or not."""
+        places = {(kind, place) for kind, own in self.kinds.items() for place in own if {*own[place]} & {*columns}}
+        if not places:
+            return best
+        statements = {statement.kind: statement for statement in best.statements}
+        for kind, place in sorted(places):
+            own = statements.get(kind, Statement(kind, {}, 1.0))
+            statements[kind] = replace(own, columns={**own.columns, place: self.kinds[kind][place]})
+        return self._with_gains(self._fitted(tuple(statements.values())))
+
     def _with_gains(self, best: Chosen) -> Chosen:
         without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]
         return replace(best, gain=tuple(float(best.score - each.score) for each in without))

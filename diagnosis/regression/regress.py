@@ -12,7 +12,6 @@ that is the answer.
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -145,14 +144,15 @@ def regress(
     of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff, factor=gains.factor)
     whole = of(motion=motion)
     known, unseen = of(motion=first), of(motion=last)
-    fits = [weighted_fit(known, first, rules, plain) for plain in PLAIN]
+    before = _columns_of(whole, gains)
+    fits = [weighted_fit(known, first, rules, plain, before) for plain in PLAIN]
     left = [left_by(unseen, each.chosen) for each in fits]
     size = np.maximum(np.sqrt((unseen.missing**2).mean(0)), 1e-300)
     tolerated = rules.evidence.tolerance * unseen.required
     errors = [float(np.linalg.norm(np.hypot(np.sqrt((each**2).mean(0)), tolerated) / size)) for each in left]
     behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
     best = int(np.argmin(errors)) if behind else 0
-    fit = fits[best] if other is not None else weighted_fit(whole, motion, rules, PLAIN[best])
+    fit = fits[best] if other is not None else weighted_fit(whole, motion, rules, PLAIN[best], before)
     memory = float(correlation_times(left_by(known, fits[best].chosen), first.stretch).max())
     torque = closing(unseen.of_file, left[best], memory, rules)
     stated = _stated(whole, fit, gains, body)
@@ -170,6 +170,13 @@ def regress(
         there,
         _drawn(whole, fit, gains),
     )
+
+
+def _columns_of(effects: LinearEffects, servos: ServoGains) -> list[int]:
+    """Columns of the gains that were estimated first."""
+    new = {place for place, changed in zip(_joints(effects), servos.changed, strict=True) if changed}
+    every = enumerate(zip(effects.kinds, effects.places, strict=True))
+    return [p for p, (kind, place) in every if kind == GAIN and place in new]
 
 
 def _drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[dict[tuple[str, str, str], float], ...]:
@@ -239,12 +246,8 @@ def _of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains, body: An
     for (kind, place, name), value in values.items():
         if kind == INERTIAL:
             continue
-        k, sd = _joints(effects).index(place), sd_of.get((kind, place, name), 0.0)
-        chosen = 1 + fitted.get((GAIN, place, "gain"), 0.0)
-        if kind == GAIN:
-            sd = (1 + value) * math.hypot(sd / chosen, float(servos.sd[k] / servos.factor[k]) if not sd else 0.0)
-        else:
-            sd /= chosen
+        sd = sd_of.get((kind, place, name), 0.0) / (1 + fitted.get((GAIN, place, "gain"), 0.0))
+        sd *= 1 + value if kind == GAIN else 1.0
         p = own.get((kind, place, name))
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
         unit = "1" if p is None else effects.units[p]

@@ -26,10 +26,9 @@ from invdyn.diagnosis.rules import FIXED
 
 @dataclass(frozen=True)
 class ServoGains:
-    """Of each joint γ (K,), 1 where nothing is to be changed, and its standard error."""
+    """Of each joint γ (K,), 1 where nothing is to be changed."""
 
     factor: np.ndarray
-    sd: np.ndarray
 
     @property
     def changed(self) -> np.ndarray:
@@ -40,7 +39,7 @@ class ServoGains:
 def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> ServoGains:
     """Gains of a body's position servos, from what its file asks of all joints, ``required`` (R, K)."""
     every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
-    factor, error = np.ones(len(every)), np.zeros(len(every))
+    factor = np.ones(len(every))
     for k, parts in enumerate(every):
         if parts is None or (servo := parts.servo) is None or servo.kind != "position":
             continue
@@ -49,24 +48,22 @@ def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> Serv
         given = demanded - motion.servo_drag[:, k]
         rows = [(given > servo.low) & (given < servo.high), np.ones(len(qd), bool)]
         fits = [_regressed(X, demanded, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
-        _, gamma, sd = min(fits, default=(0.0, 1.0, 0.0))
+        _, gamma = min(fits, default=(0.0, 1.0))
         if gamma > 0 and abs(math.log(gamma)) > FIXED.linear_servo_gain:
-            factor[k], error[k] = gamma, sd
-    return ServoGains(factor, error)
+            factor[k] = gamma
+    return ServoGains(factor)
 
 
 def _regressed(
     X: np.ndarray, demanded: np.ndarray, limits: tuple[float, float], rows: np.ndarray
-) -> tuple[float, float, float]:
-    """Rms N·m that is left of all rows, γ and its standard error, by some ``rows``."""
+) -> tuple[float, float]:
+    """Rms N·m that is left of all rows, and γ, by some ``rows``."""
     unit = np.maximum(np.sqrt((X[rows] ** 2).mean(0)), 1e-300)
     unit[1:] *= FIXED.servo_column_weight
     values, *_ = np.linalg.lstsq(X[rows] / unit, demanded[rows], rcond=None)
     fitted = X / unit @ values
-    inverse = np.linalg.pinv(X[rows].T @ X[rows] / np.outer(unit, unit))
     gamma = float(values[0] / unit[0])
     if gamma <= 0:
-        return math.inf, gamma, math.nan
-    sd = math.sqrt(float(inverse[0, 0] * ((demanded - fitted)[rows] ** 2).mean())) / float(unit[0])
+        return math.inf, gamma
     left = np.clip(demanded / gamma, *limits) - fitted / gamma
-    return float(np.sqrt((left**2).mean())), gamma, sd
+    return float(np.sqrt((left**2).mean())), gamma

@@ -15,6 +15,7 @@ correlation times long, with as many degrees of freedom (Künsch 1989; White 198
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,11 +38,16 @@ class Fitted:
 
 
 def weighted_fit(
-    effects: LinearEffects, motion: MeasuredMotion, rules: Rules, plain: tuple[str, ...] | None = None
+    effects: LinearEffects,
+    motion: MeasuredMotion,
+    rules: Rules,
+    plain: tuple[str, ...] | None = None,
+    before: Sequence[int] = (),
 ) -> Fitted:
     """Weights and time constants from all columns, then the choice among them, then both again with it.
 
-    Of ``plain`` kinds nothing is chosen: they are there at all places.
+    Of ``plain`` kinds nothing is chosen: they are there at all places. Columns ``before`` are, too: their coefficients
+    were estimated before, and what is not known of them widens the others.
     """
     moving = effects.free & (np.abs(effects.values).max((1, 2)) > 0)
     kinds: dict[str, dict[str, tuple[int, ...]]] = {}
@@ -62,7 +68,7 @@ def weighted_fit(
         tau = np.clip(correlation_times(left, motion.stretch), least, max(least, longest))
         moments = _moments(effects, weights, tau)
         choice = Choice(moments, kinds, effects.size, effects.least, rules.evidence.tolerance * effects.required, rules)
-        chosen = choice.chosen() if plain is None else choice.plain(plain)
+        chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)

@@ -30,6 +30,7 @@ from invdyn.models.effects.inertias import inertia_of, point_of
 JOINT = {"damping": "damping", "friction": "frictionloss", "armature": "armature", "stiffness": "stiffness"}
 INCLUDED = "its element is not in this file itself; write it where it stands"
 SERVO = "its actuator says gain and bias otherwise than by kp or kv alone; multiply both by that factor"
+DAMPING = "its actuator says its damping otherwise than by kv alone; lower it there"
 POINT = "1e-9 1e-9 1e-9"
 """kg·m² of a payload, which is a point: MuJoCo wants some."""
 
@@ -133,7 +134,7 @@ class Writer:
             self.text.change(element, change.comment, **{key: _said(gain)})
         elif change.quantity == "servo damping":
             if element.tag != "position" or "dampratio" in element.attributes:
-                return SERVO
+                return DAMPING
             self.text.change(element, change.comment, kv=_said(change.after / gear[0] ** 2))
         elif change.quantity == "motor limit":
             force = abs(change.after / gear[0])

@@ -264,27 +264,44 @@ def halfway(motion, values):
     return np.stack([np.interp(later, motion.time, each) for each in values.T], -1)
 
 
-@pytest.mark.parametrize("times", [1.0, 1.2, 40.0])
-def test_a_servos_gain_is_found_however_far_from_its_files(times):
-    """A file with a kp so many times the robot's, and friction at both joints: all in the file's own units."""
+def servo_log(seed, times, **options):
+    """A log of servos of 60 N·m/rad, with friction at both joints, and a file with a kp so many times theirs."""
     motor = Motor("position", 60.0 * times, 60.0 * times, 0.4, low=-1e3, high=1e3)
     parts = JointParts(damping=0.1, motor=motor)
     body = replace(BODY, links=tuple(replace(link, parts=parts) for link in BODY.links))
-    motion = Motion(20)
-    extra = friction(motion)
-    plain = recorded(20, friction, torque_noise=0.02)
+    plain = recorded(seed, friction, torque_noise=0.02, **options)
+    motion = Motion(seed, options.get("seconds", 12.0))
     # what the robot's servo gives moves it: 60 (c − q) − .4 q̇ − .1 q̇ = τ + friction
     target = halfway(motion, motion.q + (plain.torques + 0.5 * motion.qd) / 60.0)
-    rows = replace(plain, torques=motor.gain * target)
-    result = regress(rows, body)
+    return replace(plain, torques=motor.gain * target), body
+
+
+@pytest.mark.parametrize("times", [1.0, 1.2, 40.0])
+def test_a_servos_gain_is_found_however_far_from_its_files(times):
+    """All in the file's own units."""
+    result = regress(*servo_log(20, times))
     own = found(result)
-    assert extra.any()
     for joint, damping, level in zip(BODY.joint_names, (0.3, 0.1), (0.5, 0.25), strict=True):
         gain = own.get(("actuator_gain", joint, "gain"))
         assert 1 + (0.0 if gain is None else gain.value) == pytest.approx(1 / times, rel=0.05)
         assert own["coulomb_friction", joint, "torque"].value == pytest.approx(level, rel=0.15)
         assert own["viscous_friction", joint, "damping"].value == pytest.approx(damping, rel=0.25)
     assert result.torque.share > 0.85
+
+
+@pytest.mark.long
+def test_intervals_know_that_a_servos_gain_was_estimated():
+    """Errors of six logs in standard deviations: of twelve, an rms of 1.5 has a chance of one in a hundred."""
+    off = {"actuator_gain": [], "viscous_friction": []}
+    truths = {"actuator_gain": (1 / 40 - 1,) * 2, "viscous_friction": (0.3, 0.1)}
+    for seed in range(40, 46):
+        for each in regress(*servo_log(seed, 40.0, seconds=6.0)).numbers:
+            if each.effect in off:
+                truth = truths[each.effect][BODY.joint_names.index(each.place)]
+                off[each.effect].append((each.value - truth) / each.sd)
+    for every in off.values():
+        assert len(every) == 12
+        assert np.sqrt(np.mean(np.square(every))) < 1.5
 
 
 def test_rows_in_which_a_servo_is_at_its_limit_say_nothing():
