@@ -191,10 +191,12 @@ def limit_to_most(axes: Axes, bands: list[np.ndarray], reference: np.ndarray) ->
 
 
 def usual_range(values: np.ndarray) -> tuple[float, float] | None:
-    """What a panel shows of some values: all of them, but for spikes; None where they are all the same.
+    """What a panel shows of some values: all of them, but for spikes; None where all are the same or missing.
 
     Usual is from the 2 % to the 98 % quantile, and half of that span beyond.
     """
+    if not np.isfinite(values).any():
+        return None
     low, high = np.nanquantile(values, [0.02, 0.98])
     room = 0.5 * (high - low)
     least, most = max(np.nanmin(values), low - room), min(np.nanmax(values), high + room)

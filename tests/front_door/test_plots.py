@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
-from invdyn.plots import plot_posterior, quantiles, save_figure
+from invdyn.plots import plot_posterior, quantiles, save_figure, usual_range
 
 
 def panel(figure, title):
@@ -219,3 +219,7 @@ def test_many_frames_stay_quick(make_posterior, tmp_path):
     save_figure(plot_posterior(idata), tmp_path / "figure.pdf")
     assert (tmp_path / "figure.pdf").stat().st_size < 5e6
     assert isinstance(idata, az.InferenceData)
+
+
+def test_a_panel_of_missing_values_has_no_range():
+    assert usual_range(np.full(3, np.nan)) is None

@@ -167,10 +167,12 @@ def test_one_who_cannot_see_it_can_use_it(browser, make_posterior, tmp_path):
 
 
 def test_the_table_has_the_curves(browser, make_posterior, tmp_path):
+    from selenium.webdriver.support.wait import WebDriverWait
+
     idata = make_posterior(2, 150)
     opened(browser, page_of(idata, tmp_path), 1280)
     browser.find_element("css selector", "#all summary").click()
-    lines = browser.find_elements("css selector", "#all tbody tr")
+    lines = WebDriverWait(browser, 20).until(lambda _: browser.find_elements("css selector", "#all tbody tr"))
     assert len(lines) == 75
     heads = [head.text for head in browser.find_elements("css selector", "#all thead th")]
     assert heads[:3] == ["time, s", "shoulder torque, N·m", "elbow torque, N·m"]
