@@ -37,9 +37,12 @@ def trials(
     One table, averages at events, differences between conditions. Trials that do not fit are named and left out.
     """
     from invdyn.inference.study.run import run_study
+    from invdyn.recordings import InputError
 
     from .outputs import check_folder
 
+    if (folder := Path(given.recording).resolve()).is_dir() and folder in (out.resolve(), *out.resolve().parents):
+        raise InputError(f"{out}: expected a folder outside of {given.recording}, whose files are read as recordings")
     rows = read_rows(given)
     given.check(method)
     check_folder(out, [out / "trials.csv"], [Path(given.recording)])
@@ -117,6 +120,7 @@ def study_text(study: "Study") -> str:
         for row in differences.itertuples():
             if row.quantity in ("peak", "impulse", "mean_power"):
                 word = "differs" if row.found else "not told apart"
+                word += f", or its {row.confounded} does" if row.found and row.confounded else ""
                 lines.append(
                     f"{factor} {row.second} − {row.first}: {row.quantity} of {row.joint} {row.mean:+.3g} {row.unit} "
                     f"({row.q05:.3g} to {row.q95:.3g}, 90 %), {word} (P = {row.direction:.3f})"

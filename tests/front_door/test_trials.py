@@ -143,6 +143,13 @@ def test_a_table_that_cannot_be_meant_is_refused(text, says, tmp_path, run):
     assert not (tmp_path / "study").exists()
 
 
+@pytest.mark.parametrize("out", [".", "study"])
+def test_a_study_is_not_written_among_its_recordings(recorded, out, run):
+    done = run("trials", recorded, "--body", BODY, "--out", recorded / out)
+    assert done.exit_code == 2
+    assert "expected a folder outside of" in done.stderr
+
+
 def test_no_trial_left_writes_nothing(tmp_path, run):
     (tmp_path / "table.csv").write_text("recording\ngone.csv\nlost.csv\n")
     done = run("trials", tmp_path / "table.csv", "--body", BODY, "--out", tmp_path / "study")
