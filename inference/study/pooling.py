@@ -77,6 +77,7 @@ class Pooled:
         means, covariances: (G, C) and (G, C, C) of μ.
         spreads: (G, 1 + groupings) τ, that between trials first.
         groupings: names of the others.
+        confounded: of :func:`confounded`.
     """
 
     levels: tuple[str, ...]
@@ -85,6 +86,7 @@ class Pooled:
     covariances: np.ndarray
     spreads: np.ndarray
     groupings: tuple[str, ...]
+    confounded: str
 
     def average(self, level: str) -> Mixture:
         """Of a condition's μ."""
@@ -144,6 +146,7 @@ def pool(
         scale**2 * covariances,
         scale * np.exp(log_tau),
         tuple(groups),
+        confounded(condition, subject, session),
     )
 
 
@@ -163,6 +166,15 @@ def groupings(condition: Sequence[str], subject: Sequence[str], session: Sequenc
             found[name] = number
             known.append(number)
     return found
+
+
+def confounded(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> str:
+    """What each condition has one of its own of, "subject" or "session", so that its effect may be theirs; else ""."""
+    own = _numbered(list(zip(condition, strict=True)))
+    pairs: dict[str, list[tuple]]
+    pairs = {"subject": list(zip(subject, strict=True)), "session": list(zip(subject, session, strict=True))}
+    same = [name for name, labels in pairs.items() if np.array_equal(_numbered(labels), own)]
+    return same[0] if same and own.max() > 0 else ""
 
 
 def _numbered(labels: list[tuple]) -> np.ndarray:

@@ -116,8 +116,9 @@ class Study:
         """Differences between levels of a factor, of each joint and quantity: mean of second − first, with interval.
 
         ``direction`` is the probability of the difference's sign; ``found`` says whether it is `FOUND` or more. With
-        several subjects the difference is that of their population, else that of the one subject. Raises InputError
-        for a factor that the trials do not have, or that has one level.
+        several subjects the difference is that of their population, else that of the one subject. ``confounded`` is
+        "subject" or "session" where each level has one of its own: the difference may be theirs. Raises InputError for
+        a factor that the trials do not have, or that has one level.
         """
         rows = []
         for what, pooled, counts in self._pooled(factor):
@@ -125,7 +126,7 @@ class Study:
                 own = pooled.difference(first, second)
                 numbers = {"mean": own.mean, "q05": own.quantile(INTERVAL[0]), "q95": own.quantile(INTERVAL[1])}
                 found = {"direction": own.direction, "found": own.direction >= FOUND}
-                sizes = {"trials": counts[first] + counts[second]}
+                sizes = {"trials": counts[first] + counts[second], "confounded": pooled.confounded}
                 rows.append({**what, "first": first, "second": second, **numbers, **found, **sizes})
         if not rows:
             raise InputError(f"expected two levels of {factor!r} or more to compare, got one")

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from invdyn.inference.study.pooling import Mixture, _given, groupings, pool
+from invdyn.inference.study.pooling import Mixture, _given, confounded, groupings, pool
 
 SUBJECT = np.repeat(["a", "b", "c"], 4)
 CONDITION = np.tile(["x", "x", "y", "y"], 3)
@@ -117,6 +117,22 @@ def test_units_do_not_matter():
 )
 def test_groupings_are_those_that_the_design_tells_apart(condition, subject, session, names):
     assert list(groupings(condition, subject, session)) == names
+
+
+@pytest.mark.parametrize(
+    ("condition", "subject", "session", "what"),
+    [
+        ("xxyy", "aabb", "1111", "subject"),
+        ("xxyy", "aaaa", "1122", "session"),
+        ("xxyy", "aaaa", "1212", ""),
+        ("xxyyxx", "aabbcc", "111111", ""),  # two subjects of a condition tell by how much subjects differ
+        ("xxxx", "aaaa", "1111", ""),
+    ],
+)
+def test_a_condition_of_one_subject_or_session_may_be_its_effect(condition, subject, session, what):
+    assert confounded(condition, subject, session) == what
+    y = np.arange(float(len(condition)))
+    assert pool(y, np.ones(len(y)), list(condition), list(subject), list(session), 64).confounded == what
 
 
 def test_quantiles_of_a_mixture_are_those_of_its_distribution():

@@ -263,6 +263,18 @@ def test_what_is_in_doubt_is_said(tmp_path):
     assert f"t0: {gap}" in view_of(tmp_path / "out").doubts
 
 
+def test_a_difference_that_may_be_the_subjects_says_so(tmp_path):
+    numbers = torch.tensor([0.0, 0.1, 0.0, 0.0, 0.0]) + torch.zeros(1, 2, 5)  # a sd of 0.1
+    effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0])
+    study = of_parts([{**made(i), "statistics": numbers + effect * (i % 2)} for i in range(12)])
+    apart = tuple(replace(trial, subject=trial.factors["condition"]) for trial in study.trials)
+    own, other = study, replace(study, trials=apart)
+    assert set(own.difference()["confounded"]) == {""}
+    assert set(other.difference()["confounded"]) == {"subject"}
+    assert "differs (P" in study_text(own)
+    assert "differs, or its subject does (P" in study_text(other)
+
+
 def test_a_level_without_a_joint_is_not_drawn_of_it(tmp_path):
     """Levels x and y of the arm, x alone of the leg."""
     parts = [made(i, ("hip",) if i in (4, 6) else ("shoulder",)) for i in range(7)]
