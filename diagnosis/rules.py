@@ -398,6 +398,8 @@ class Fixed:
     max_regression_rows: int = number(4000, "rows", "of smoothed angles; more are averaged", "effort")
     min_moving_share: float = number(0.2, "rows", "in which a joint turns, for those at rest not to count", "chosen")
     regression_draws: int = number(64, "draws", "of a regression's numbers, for a file and its ensemble", "effort")
+    equal_servo_gain: float = number(0.1, "log", "of servos' gains, that two regressions agree to", "stated")
+    servo_gain_passes: int = number(4, "regressions", "about servos' gains, at most", "effort")
     linear_servo_gain: float = number(
         0.7, "log", "of a servo's gain, that a regression about the file's takes", "stated"
     )

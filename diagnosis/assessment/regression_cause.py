@@ -14,16 +14,20 @@ from invdyn.diagnosis.assessment.findings import place
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding
 from invdyn.diagnosis.hypotheses.regression_start import Start, regressed
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
+from invdyn.diagnosis.regression.as_model import model_on
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.models.effects.base import Effect
 
 
 def regression_cause(regression: Regression, problem: DiagnosisProblem, passive: bool) -> Cause | None:
     """Its effects with their numbers; None where it states none that the catalogue has."""
-    mean = regressed(regression, problem, passive)
+    if regression.unseen is None:
+        return None
+    nominal = model_on(regression.unseen.motion, problem.model.body, passive)
+    mean = regressed(regression, problem, passive, nominal)
     if not mean.effects:
         return None
-    every = [regressed(replace(regression, coefficients=each), problem, passive) for each in regression.draws]
+    every = [regressed(replace(regression, coefficients=each), problem, passive, nominal) for each in regression.draws]
     whole = [each for each in every if each.values.keys() == mean.values.keys()]
     findings = tuple(_finding(problem, effect, mean, whole) for effect in mean.effects)
     return Cause(findings, 0.0, float("nan"), float("nan"))

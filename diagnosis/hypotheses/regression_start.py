@@ -14,6 +14,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.regression.as_model import model_on, with_coefficients
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.regression.regress import Regression
+from invdyn.models import ArmModel
 from invdyn.models.effects.base import PREFIX, Effect
 from invdyn.models.effects.inertias import inertia_of
 
@@ -39,11 +40,13 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     return replace(found, everywhere=everywhere & {effect.name for effect in found.effects})
 
 
-def regressed(regression: Regression, problem: DiagnosisProblem, passive: bool) -> Start:
-    """All that a regression found, as effects of the catalogue with their numbers."""
+def regressed(
+    regression: Regression, problem: DiagnosisProblem, passive: bool, nominal: ArmModel | None = None
+) -> Start:
+    """All that a regression found, as effects of the catalogue with their numbers; ``nominal`` is :func:`.model_on`."""
     if regression.unseen is None:
         return Start()
-    nominal = model_on(regression.unseen.motion, problem.model.body, passive)
+    nominal = nominal or model_on(regression.unseen.motion, problem.model.body, passive)
     model = with_coefficients(nominal, regression.coefficients)
     values = {
         f"{effect.key}.{parameter.name}": model.parameters[f"{PREFIX}{effect.key}.{parameter.name}"].item()

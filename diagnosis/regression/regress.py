@@ -141,7 +141,14 @@ def regress(
     first, last = motion.split(rules.outcome.fit_share) if other is None else (motion, other)
     dynamics = dynamics_for(body)
     gains = servo_gains(first, required_by_file(dynamics, body, first), body)
-    of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff, factor=gains.factor)
+    of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff)
+    for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
+        known = of(motion=first, factor=gains.factor)
+        chosen = weighted_fit(known, first, rules, None, _columns_of(known, gains)).chosen
+        if (better := _nearer(known, chosen, gains)) is gains:
+            break
+        gains = better
+    of = partial(of, factor=gains.factor)
     whole = of(motion=motion)
     known, unseen = of(motion=first), of(motion=last)
     before = _columns_of(whole, gains)
@@ -188,6 +195,17 @@ def _drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[dic
     floor = effects.least[list(fit.chosen.columns)]
     every = (replace(fit.chosen, values=np.maximum(each, floor)) for each in values)
     return tuple(_named(effects, each, servos) for each in every)
+
+
+def _nearer(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> ServoGains:
+    """Servos' gains about which the next regression is made; the same where this one finds them."""
+    found = {
+        effects.places[p]: 1 + v for p, v in zip(chosen.columns, chosen.values, strict=True) if effects.kinds[p] == GAIN
+    }
+    more = np.where(servos.changed, [found.get(place, 1.0) for place in _joints(effects)], 1.0)
+    if np.abs(np.log(more)).max() < FIXED.equal_servo_gain:
+        return servos
+    return ServoGains(servos.factor * more)
 
 
 def _stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, body: Any) -> tuple[Stated, ...]:

@@ -64,6 +64,9 @@ def write_back(
         temporary.write_bytes(new)
         if mjcf:
             tried = _tried(str(source), str(temporary), body, recording, held_out)
+        if tried and diagnosis.regressed is not None and _worse(tried):
+            # MuJoCo has the last word on the regression: the file then follows the search
+            return write_back(replace(diagnosis, regressed=None), source, body, out, recording, held_out)
     changes = tuple(
         {
             "place": each.place,
@@ -79,6 +82,11 @@ def write_back(
     )
     written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried)
     return replace(diagnosis, written=written)
+
+
+def _worse(tried: dict) -> bool:
+    """Whether replays of the copy are further off than those of the file."""
+    return bool(tried["total_rms_rad"]["after"] >= tried["total_rms_rad"]["before"])
 
 
 def is_mjcf(content: bytes) -> bool:
