@@ -151,6 +151,8 @@ def linear_effects(
     free = np.ones(len(values), dtype=bool)
     if passive and len(links):
         free[-len(links) :] = _but_the_largest(links, np.concatenate([each.ravel() for each in own]))
+    if np.any(np.asarray(factor) != 1.0) and len(links):
+        free[-len(links) :] = False  # masses and gains have a factor in common, which the file's masses have to say
     labels += [(INERTIAL, link, name, of) for name, of in link_names(body, own) for link in body.link_names]
     kinds, places, names, units = zip(*labels, strict=True)
     return LinearEffects(
