@@ -57,7 +57,9 @@ class Timeline:
         if self.time.device == device:
             return self
         clocks = {name: each.to(device) for name, each in vars(self).items() if isinstance(each, Tensor)}
-        return replace(self, **clocks)
+        moved = replace(self, **clocks)
+        moved.__dict__["regular"] = self.regular  # looked at where numbers are at hand
+        return moved
 
     def known_from(self, begin: Tensor) -> Self:
         """The grid where commands are known from the time ``begin``, s."""

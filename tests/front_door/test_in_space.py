@@ -242,7 +242,7 @@ def test_rows_that_tell_nothing_of_a_coordinate_are_hatched(posterior):
     for figure, titles in (
         (plot_posterior(marked), (f"{name} angle", f"{name} torque")),
         (plot_comparison({"smc": marked}), (f"{name} torque",)),
-        (still_parts(marked, arm_points(marked), np.zeros((12, 1, 3)))[0], (f"{name} torque (N·m)",)),
+        (still_parts(marked, arm_points(marked), np.zeros((12, 1, 3)), None)[0], (f"{name} torque (N·m)",)),
     ):
         hatched = {axes.get_title(loc="left"): spans for axes in figure.axes if (spans := hatches(axes))}
         for title in titles:

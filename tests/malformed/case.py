@@ -38,7 +38,9 @@ PLOT = ("plot", "posterior.nc", "--out", "out.csv")
 DRAW = ("plot", "posterior.nc", "--out", "out.svg")
 BLIND = ("blind", "--out", "out", "--cases", "1")
 DEMO = ("demo", "--out", "out")
-KEPT = (*INFER, "--checkpoint", "checkpoint")
+KEPT = (*INFER, "--torque", "ornstein_uhlenbeck", "--checkpoint", "checkpoint")
+MIXED = (*INFER, "--checkpoint", "mixed")
+"""Of one torque process filters are tasks, of the default's several its sets of parameters are."""
 
 HUGE = "9" * 5000
 """More digits than Python turns into an integer."""
@@ -105,3 +107,6 @@ def make_good(folder: Path, run: Callable) -> None:
         (folder / name).write_text(text, encoding="utf-8")
     outcome = run(*with_option(KEPT, "--out", "posterior.nc"), "--truth", "truth.csv")
     assert outcome.exit_code == 0, outcome.stderr
+    outcome = run(*MIXED)
+    assert outcome.exit_code == 0, outcome.stderr
+    (folder / "out.nc").unlink()

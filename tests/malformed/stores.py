@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from .case import BLIND, DRAW, HUGE, KEPT, PLOT, Case
+from .case import BLIND, DRAW, HUGE, KEPT, MIXED, PLOT, Case
 
 FILM = ("plot", "posterior.nc", "--out", "out.gif")
 STO = ("plot", "posterior.nc", "--out", "out.sto")
@@ -192,13 +192,13 @@ def cut(name: str, share: float) -> Callable[[Path], None]:
 
 def checkpoints() -> Iterator[Case]:
     """Every part damaged, missing, exchanged, or with other numbers in it."""
-    for part in ("", "smc/guide", "smc/part-0"):
-        where = f"checkpoint/{part}"
+    for part in ("checkpoint", "checkpoint/smc/guide", "checkpoint/smc/part-0", "mixed", "mixed/smc-sets/part-0"):
+        where, call = part, MIXED if part.startswith("mixed") else KEPT
         for what, content in GARBAGE.items():
-            yield Case("checkpoint", KEPT, {f"{where}/manifest.json": content}, what=f"{part} manifest {what}")
+            yield Case("checkpoint", call, {f"{where}/manifest.json": content}, what=f"{part} manifest {what}")
         for key in ("schema", "step", "fingerprint", "state", "tensors", "sha256"):
             for value in (None, 3, "x", [], {}, True, "../../rec.csv", 1e308):
-                yield Case("checkpoint", KEPT, touch=entry(where, key, value), what=f"{part} {key} = {value!r}")
+                yield Case("checkpoint", call, touch=entry(where, key, value), what=f"{part} {key} = {value!r}")
         for what, touch in {
             "no tensors": without_tensors(where),
             "empty tensors": cut_tensors(where, 0),
@@ -210,7 +210,7 @@ def checkpoints() -> Iterator[Case]:
             "of another kind": edited(where, lambda value: value.astype("f4")),
             "a tensor less": dropped(where),
         }.items():
-            yield Case("checkpoint", KEPT, touch=touch, what=f"{part} {what}")
+            yield Case("checkpoint", call, touch=touch, what=f"{part} {what}")
     yield Case("checkpoint", KEPT, touch=exchanged("checkpoint/smc/guide", "checkpoint/smc/part-0"), what="exchanged")
     yield Case("checkpoint", KEPT, touch=exchanged("checkpoint", "checkpoint/smc/guide"), what="exchanged")
 

@@ -11,7 +11,7 @@ from invdyn.inference import infer
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.task import prepare
 from invdyn.inputs import load_body
-from invdyn.models import Link, dynamics_for, planar_body
+from invdyn.models import Link, OrnsteinUhlenbeck, dynamics_for, planar_body
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.recordings import InputError, Recording, load
 from invdyn.summary import summary_text
@@ -63,8 +63,10 @@ def test_links_that_change_their_lengths_from_a_row_on():
 
 
 def test_torques_that_no_limb_has():
-    """A person's arm that swings seven times as fast has fifty times the torque."""
-    (line,) = [each for each in doubts(swing(speed=7.5, noise=1e-4), arm()) if "torque" in each]
+    """A person's arm that swings seven times as fast has fifty times the torque; a rough prior follows it."""
+    (line,) = [
+        each for each in doubts(swing(speed=7.5, noise=1e-4), arm(), torque=OrnsteinUhlenbeck()) if "torque" in each
+    ]
     assert "no limb of this size is known to exceed" in line
     assert " N·m" in line
 
