@@ -96,10 +96,14 @@ def test_mpi_gives_the_same(simulated, run):
 
 
 @pytest.mark.long
-def test_killed_and_resumed_is_the_same(simulated, run, started):
+@pytest.mark.parametrize("torque_process", ["ornstein_uhlenbeck", "auto"])
+def test_killed_and_resumed_is_the_same(simulated, run, started, torque_process):
+    """Tasks are filters of one torque process, or parameter sets of several."""
     pytest.importorskip("safetensors")
-    call = (*INFER, "--filters", 12, "--checkpoint", "kept", "--out", "p.nc")
-    tasks = [Path(f"kept/smc/part-{k}/manifest.json") for k in range(6)]
+    one = (*INFER, "--filters", 12, "--torque", torque_process)
+    call = (*one, "--checkpoint", "kept", "--out", "p.nc")
+    kept = "smc-sets" if torque_process == "auto" else "smc"
+    tasks = [Path(f"kept/{kept}/part-{k}/manifest.json") for k in range(6)]
     process = started(*DIES, *call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     assert process.wait() == -signal.SIGKILL
     assert tasks[0].exists()
@@ -107,7 +111,7 @@ def test_killed_and_resumed_is_the_same(simulated, run, started):
     assert not Path("p.nc").exists()
     resumed = run(*call)
     assert resumed.exit_code == 0, resumed.output
-    assert run(*INFER, "--filters", 12, "--out", "whole.nc").exit_code == 0
+    assert run(*one, "--out", "whole.nc").exit_code == 0
     assert torque("p.nc") == torque("whole.nc")
     other = run(*call, "--seed", 5)
     assert other.exit_code == 2
