@@ -57,7 +57,7 @@ from invdyn.inference import (
     smc,
 )
 from invdyn.inputs import load_recording
-from invdyn.models import Body
+from invdyn.models import Body, OrnsteinUhlenbeck
 from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION, plot_posterior
 from invdyn.recordings import InputError, load, median_link_lengths
 from invdyn.simulate import paper_arm, record
@@ -297,11 +297,11 @@ except InputError as error:
 
 # %% [markdown]
 # Noise scales, the torques' strength and speed, and the links' lengths are not known now. `infer` finds them by
-# maximising the evidence. Then the filters run.
+# maximising the evidence. Then the filters run. The torque has the paper's prior, an Ornstein–Uhlenbeck process.
 
 # %%
 if film is not None:
-    posterior = infer(film, arm, learn_lengths=True, num_draws=8, seed=0)
+    posterior = infer(film, arm, learn_lengths=True, torque=OrnsteinUhlenbeck(), num_draws=8, seed=0)
     display(plot_posterior(posterior))
     size, spread = posterior.attrs["outer_ess"], posterior.attrs["log_evidence_spread"]
     print(f"outer sample size {size:.1f} of 64 filters of 100 particles; log Ẑ spreads by {spread:.2f} nats")
