@@ -60,13 +60,16 @@ def write_back(
     mjcf = is_mjcf(content)
     new, left = rewritten(content, source, body, wanted.changes)
     tried = None
-    with atomic_path(out) as temporary:
-        temporary.write_bytes(new)
-        if mjcf:
-            tried = _tried(str(source), str(temporary), body, recording, held_out)
-        if tried and diagnosis.regressed is not None and _worse(tried):
-            # MuJoCo has the last word on the regression: the file then follows the search
-            return write_back(replace(diagnosis, regressed=None), source, body, out, recording, held_out)
+    try:
+        with atomic_path(out) as temporary:
+            temporary.write_bytes(new)
+            if mjcf:
+                tried = _tried(str(source), str(temporary), body, recording, held_out)
+            if tried and diagnosis.regressed is not None and _worse(tried):
+                raise _Worse  # so that this file does not stay
+    except _Worse:
+        # MuJoCo has the last word on the regression: the file then follows the search
+        return write_back(replace(diagnosis, regressed=None), source, body, out, recording, held_out)
     changes = tuple(
         {
             "place": each.place,
@@ -82,6 +85,10 @@ def write_back(
     )
     written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried)
     return replace(diagnosis, written=written)
+
+
+class _Worse(Exception):
+    """The copy that follows the regression is further off than the file."""
 
 
 def _worse(tried: dict) -> bool:

@@ -7,12 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 from in_space import ARM
+from reported import diagnosis
 from robot_xml import play, robot
 
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding, Learned
 from invdyn.diagnosis.write_back import mjcf, toml, urdf
 from invdyn.diagnosis.write_back.changes import ZERO_ELSEWHERE, FileChange, correction
 from invdyn.diagnosis.write_back.rollout import commands, rollout
+from invdyn.diagnosis.write_back.write_back import write_back
 from invdyn.models import Body, load_body
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*clockwise")
@@ -371,3 +373,25 @@ def test_less_damping_than_a_joint_has_is_its_servos(file):
     assert not unsaid
     assert new.actuator_biasprm[0, 2] == pytest.approx(-0.7)
     assert new.dof_damping[0] == 0.0
+
+
+@pytest.mark.parametrize("searched", [0.25, None])
+def test_a_copy_that_replays_worse_by_the_regression_follows_the_search(file, searched):
+    """The true damping is .25 more; the regression says 3 more. Without an answer of the search there is no file."""
+    shoulder = {"joint": "shoulder"}
+    true = robot(degrees=True).replace('damping="0.3"', 'damping="0.55"')
+    body, log, out = Body.load(file), play(true), file.with_name("out.xml")
+    causes = () if searched is None else (cause(finding("viscous_friction", shoulder, damping=searched)),)
+    wrong = cause(finding("viscous_friction", shoulder, damping=3.0))
+    found = replace(diagnosis(), causes=causes, regressed=wrong)
+    written = write_back(found, file, body, out, log, True)
+    assert written.regressed is None
+    if searched is None:
+        assert not written.written.changes
+        assert sorted(path.name for path in file.parent.iterdir()) == [file.name]
+        return
+    assert [change["to"] for change in written.written.changes] == pytest.approx([0.55])
+    number = mujoco.MjModel.from_xml_path(str(out)).joint("shoulder").dofadr[0]
+    assert mujoco.MjModel.from_xml_path(str(out)).dof_damping[number] == pytest.approx(0.55)
+    right = replace(found, regressed=causes[0], causes=(wrong,))
+    assert write_back(right, file, body, out, log, True).regressed is causes[0]
