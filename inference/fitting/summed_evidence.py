@@ -10,7 +10,7 @@ every one of them has is counted once.
 Shapes: N data sets, P parameters φ.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -19,7 +19,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import PATIENCE, Free, LogParameters, M, Objective, laplace
+from invdyn.inference.fitting.marginal_likelihood import PATIENCE, Free, M, Objective, laplace
 from invdyn.models.divergence import Diverged
 
 MAX_ITERATIONS = 12
@@ -54,17 +54,6 @@ def at_common_start(models: Sequence[M], free: Sequence[Free]) -> list[M]:
         mean, positive = stacked.mean(0), (stacked > 0).all(0) & (f.unit is None)
         values[f.name] = torch.where(positive, stacked.clamp(min=1e-300).log().mean(0).exp(), mean)
     return [model.replace(**values) for model in models]
-
-
-def phi_of(parameters: LogParameters, values: Mapping[str, Tensor]) -> np.ndarray:
-    """φ (P,) of parameters' values; of tied ones the mean over their entries."""
-    phi = np.zeros(len(parameters.sd))
-    for f, index in zip(parameters.free, parameters.slices, strict=True):
-        start = parameters.model.parameters[f.name].flatten()
-        own, base = (each[list(f.indices(len(start)))].double() for each in (values[f.name].flatten(), start))
-        change = (own / base).log() if f.unit is None else (own - base) / f.unit
-        phi[index] = (change.mean() if f.tied else change).numpy()
-    return phi
 
 
 def fit_summed(

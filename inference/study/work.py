@@ -24,7 +24,7 @@ from torch import Tensor
 
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
-from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed, phi_of
+from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
@@ -70,7 +70,7 @@ def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *,
             return {**own, **words(notes=[])}
         models = at_common_start([at_start(each, free) for each in problems], free)
         parameters = LogParameters(models[0].to(dtype=torch.float64), free)
-        alone = [phi_of(parameters, {f.name: fit[f"{VALUE}{f.name}"] for f in free}) for fit in fits]
+        alone = [parameters.of(parameters_of(fit)) for fit in fits]
         phi = np.median(alone, axis=0)  # one trial that is far off does not move it
         rows, paths = [each.observations.double() for each in problems], [fit["path"] for fit in fits]
         sets = list(zip(models, rows, paths, strict=True))

@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import minimize
 
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
-from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed, phi_of
+from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed
 
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
 LENGTHS = (20, 35, 27)
@@ -78,4 +78,4 @@ def test_the_common_start_is_the_geometric_mean_and_phi_counts_from_it(chain):
     assert first.parameters["emission_root"][positive].numpy() == pytest.approx(2 * root[positive].numpy())
     assert torch.equal(first.parameters["emission_root"], second.parameters["emission_root"])
     parameters = LogParameters(model, [Free("emission_root", entries=(0,))])
-    assert phi_of(parameters, {"emission_root": 3.0 * root}) == pytest.approx([math.log(3.0)])
+    assert parameters.of({"emission_root": 3.0 * root}) == pytest.approx([math.log(3.0)])
