@@ -8,6 +8,7 @@ further trial.
 Recordings of more than `MAX_ROWS` rows are thinned: median and edges of the bands at evenly spaced rows.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pandas as pd
 import xarray as xr
 
 from invdyn.inference import load_posterior
+from invdyn.inference.study.store import FILES, study_files
 from invdyn.recordings import InputError, write_text
 
 from .film import arm_points, skeleton
@@ -29,7 +31,7 @@ MAX_ROWS = 2000
 DRAWS = 8
 """Posterior draws of the body, pale."""
 Z90 = 1.6448536
-DIAGNOSIS, STUDY = "diagnosis.json", "trials.csv"
+DIAGNOSIS = "diagnosis.json"
 STYLES = ("after", "before", "third", "fourth")
 """Of a study's levels."""
 
@@ -47,14 +49,14 @@ def view_of(path: str | Path, align: str | None = None) -> View:
     """What a page shows of a file; raises as :func:`write_view`."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
-    if (path / STUDY).exists() and (path / "posteriors").is_dir():
+    if (path / FILES).exists():
         return _of_study(path, align)
     if align is not None:
         raise InputError(f"{path}: expected the folder of a study to align at {align!r}: leave --align out")
     if path.is_dir() and not (path / DIAGNOSIS).exists():
         raise InputError(
             f"{path}: expected a posterior, .nc, or a folder of `invdyn diagnose` or `invdyn trials`, with {DIAGNOSIS} "
-            f"or {STUDY} and posteriors in it"
+            f"or {FILES} in it"
         )
     if path.is_dir() or path.name == DIAGNOSIS:
         path = folder / "posterior.nc"
@@ -149,7 +151,8 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
 
 def _of_study(folder: Path, align: str | None) -> View:
     """What a page shows of the folder that `invdyn trials` left."""
-    events = sorted(path.stem.removeprefix("averages_") for path in folder.glob("averages_*.csv"))
+    files = study_files(folder)
+    events = sorted(path.stem.removeprefix("averages_") for path in files if path.match("averages_*.csv"))
     if not events:
         raise InputError(f"{folder}: expected averages, got none: at least two trials need an event (event_NAME)")
     event = events[0] if align is None else align
@@ -163,10 +166,9 @@ def _of_study(folder: Path, align: str | None) -> View:
     time = np.unique(averages["time"])
     left_out = pd.read_csv(folder / "left_out.csv", dtype=str, keep_default_na=False)
     doubts = [f"{each.trial} is left out: {each.reason}" for each in left_out.itertuples()]
-    if (in_doubt := folder / "in_doubt.csv").exists():
-        table = pd.read_csv(in_doubt, dtype=str, keep_default_na=False)
-        doubts += [f"{each.trial}: {each.doubt}" for each in table.itertuples()]
-    curves = _aligned(folder, event, factor, time)
+    in_doubt = pd.read_csv(folder / "in_doubt.csv", dtype=str, keep_default_na=False)
+    doubts += [f"{each.trial}: {each.doubt}" for each in in_doubt.itertuples()]
+    curves = _aligned([path for path in files if path.suffix == ".nc"], event, factor, time)
     view = View(
         title=f"Torques of {averages.groupby(factor)['trials'].max().sum()} trials by {factor}",
         kicker=f"Study {folder.name}, trials aligned at {event}",
@@ -193,17 +195,19 @@ def _of_study(folder: Path, align: str | None) -> View:
             sides.append(side | {name: rows[column].to_numpy() for name, column in named.items()})
         trials = [(styles[level], each) for level, each in curves.get(joint, ()) if level in styles]
         view.panel("torque", joint, str(own["unit"].iloc[0]), sides, trials)
-    for path in sorted(folder.glob("differences*.csv")):
+    for path in sorted(path for path in files if path.match("differences*.csv")):
         table = pd.read_csv(path, keep_default_na=False)
         cells = table.map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell))
         view.tables[path.stem.replace("_", " ").capitalize()] = [list(table.columns), *cells.values.tolist()]
     return view
 
 
-def _aligned(folder: Path, event: str, factor: str, time: np.ndarray) -> dict[str, list[tuple[str, np.ndarray]]]:
+def _aligned(
+    posteriors: Iterable[Path], event: str, factor: str, time: np.ndarray
+) -> dict[str, list[tuple[str, np.ndarray]]]:
     """By joint, each trial's level and its median torque at times after the event; none of those that lack it."""
     found: dict[str, list[tuple[str, np.ndarray]]] = {}
-    for path in sorted((folder / "posteriors").glob("*.nc")):
+    for path in sorted(posteriors):
         with xr.open_dataset(path, engine="h5netcdf") as session:
             if f"event_{event}" not in session:
                 continue

@@ -1,5 +1,6 @@
 """What a study leaves in its folder.
 
+    files.txt         names of the files below, one a line: what else is there is of an earlier study
     trials.csv        one row a trial, joint and quantity
     left_out.csv      trials that do not count, with reasons
     in_doubt.csv      trials that count and may be wrong, with reasons
@@ -31,6 +32,7 @@ from invdyn.inference.study.figure import plot_averages
 from invdyn.inference.study.work import CURVES, said
 from invdyn.recordings import InputError, atomic_path, new_folder, whole_set, write_moments, write_text
 
+FILES = "files.txt"
 LONGEST = 100
 """Characters of a name as a part of a file's."""
 
@@ -71,7 +73,13 @@ def save_study(study: Any, folder: Path) -> list[Path]:
             shifting = {joint for joint, turns in zip(known["joints"], known["turns"], strict=True) if not turns}
             moments = part["time"].numpy(), middle, low, high, known["joints"], shifting
             write_moments(place("sto", f"{name}.sto"), *moments)
-    return files
+        write_text(folder / FILES, "".join(f"{file.relative_to(folder).as_posix()}\n" for file in files))
+    return [*files, folder / FILES]
+
+
+def study_files(folder: Path) -> list[Path]:
+    """The files of the last study that was written into a folder. Raises OSError where there is none."""
+    return [folder / name for name in (folder / FILES).read_text(encoding="utf-8").splitlines()]
 
 
 def session_posterior(study: Any, members: list[int]) -> xr.Dataset:

@@ -229,7 +229,7 @@ def study(tmp_path):
     """A folder as `invdyn trials` leaves it: two levels of two trials each, whose event is at another time of each."""
     folder, rng = tmp_path / "study", np.random.default_rng(0)
     (folder / "posteriors").mkdir(parents=True)
-    (folder / "trials.csv").write_text("trial\n")
+    (folder / "in_doubt.csv").write_text("trial,subject,session,doubt\n")
     (folder / "left_out.csv").write_text("trial,subject,session,reason\nt9,1,1,it is <b>gone</b>\n")
     times = np.linspace(-0.2, 0.3, 11)
     rows = [
@@ -253,6 +253,8 @@ def study(tmp_path):
             "event_touch": ("trial", events),
         },
     ).to_netcdf(folder / "posteriors" / "1_1.nc", engine="h5netcdf")
+    files = [file.relative_to(folder).as_posix() for file in folder.rglob("*.*")]
+    (folder / "files.txt").write_text("\n".join(files))
     return folder
 
 

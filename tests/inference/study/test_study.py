@@ -304,6 +304,19 @@ def test_no_trial_is_written_over_another(tmp_path):
     assert len({str(file).lower() for file in files}) == len(files)
 
 
+def test_of_two_studies_in_one_folder_the_later_one_is_shown(tmp_path):
+    study = of_parts([made(i) for i in range(5)])
+    other = replace(study, trials=tuple(replace(trial, subject="other") for trial in study.trials))
+    of_parts([made(i) for i in range(4)], "grasp").save(tmp_path / "out")
+    other.save(tmp_path / "out")
+    files = study.save(tmp_path / "out")
+    assert all(file.exists() for file in files)
+    assert (tmp_path / "out" / "posteriors" / "other_1.nc").exists()
+    view = view_of(tmp_path / "out")
+    assert [len(panel["trials"]) for panel in view.panels] == [5, 5]
+    assert view.foot == "Events to align at: touch."
+
+
 def test_an_event_at_every_trial_s_end_or_begin_has_one_time(tmp_path):
     study = of_parts([made(i, begin=(-0.5, 0.5)[i % 2]) for i in range(4)])
     assert study.averages("touch")["time"].unique().tolist() == [0.0]
