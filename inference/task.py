@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.checkpoint import Checkpoint, digest, part_of
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.execution.seeds import derived, seeded
@@ -266,7 +266,7 @@ def _fitted(
     """Fit of each problem, and what is in doubt of each: from the checkpoint, or fitted and kept there."""
     if checkpoint is not None and (kept := checkpoint.load()) is not None:
         tensors, state = kept
-        parts = [_part(tensors, f"{number}.") for number in range(len(problems))]
+        parts = [part_of(tensors, f"{number}.") for number in range(len(problems))]
         there = zip(problems, parts, state["fits"], strict=True)
         return [_kept_fit(each, own, numbers) for each, own, numbers in there], state["doubts"]
     fits: list[Fit[ArmModel]] = []
@@ -339,8 +339,8 @@ def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
 
 def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> Fit[ArmModel]:
     """The fit whose tensors :func:`_tensors_of` gave."""
-    model = problem.model.replace(**_part(tensors, PARAMETER))
-    log_sd = {name: value.numpy() for name, value in _part(tensors, "log_sd ").items()}
+    model = problem.model.replace(**part_of(tensors, PARAMETER))
+    log_sd = {name: value.numpy() for name, value in part_of(tensors, "log_sd ").items()}
     phi, covariance = tensors["phi"].numpy(), tensors["covariance"].numpy()
     return Fit(
         model,
@@ -352,11 +352,6 @@ def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, A
         covariance,
         numbers["log_marginal"],
     )
-
-
-def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """Tensors whose names begin so, by the rest of their names."""
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def _share(report: Report | None, number: int, count: int) -> Report | None:

@@ -20,7 +20,7 @@ import arviz as az
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.checkpoint import Checkpoint, part_of
 from invdyn.inference.execution.distribute import distribute
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.execution.seeds import derived, seeded
@@ -141,8 +141,7 @@ def _parts(found: Any) -> list[az.InferenceData]:
     if isinstance(found, list):
         return found
     numbers = sorted({int(name.partition(".")[0]) for name in found})
-    own = [{n.removeprefix(f"{k}."): v for n, v in found.items() if n.startswith(f"{k}.")} for k in numbers]
-    return [unpacked(each) for each in own]
+    return [unpacked(part_of(found, f"{k}.")) for k in numbers]
 
 
 def stacked(models: Sequence[ArmModel], axes: int = 1) -> ArmModel:

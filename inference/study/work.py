@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.inference.execution.checkpoint import part_of
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
 from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed
@@ -188,4 +189,4 @@ def _guarded(work: Callable[[], Tensors]) -> Tensors:
 
 def parameters_of(part: Tensors) -> dict[str, Tensor]:
     """Values of parameters by name, in one order: what a checkpoint gives back has any."""
-    return {name.removeprefix(VALUE): value for name, value in sorted(part.items()) if name.startswith(VALUE)}
+    return dict(sorted(part_of(part, VALUE).items()))
