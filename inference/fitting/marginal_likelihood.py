@@ -334,46 +334,71 @@ def fit(
         none, evidence = np.zeros(0), smoother.log_evidence.item()
         return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence)
     objective = Objective(model, observations, free, start)
+
+    def report(done: int, phi: np.ndarray) -> bool:
+        if progress is not None:
+            progress(min(done, max_iterations), max_iterations)
+        return objective.settled(phi)
+
+    widening = max(1.0, (len(objective.sd) / 10) ** 0.5)  # many parameters share a step
+    phi, converged = minimum(
+        objective, objective.parameters.of(begin or {}), max_iterations, widening=widening, report=report
+    )
+    value, hessian = objective.value(phi), objective.curvature(phi)
+    log_evidence = -value + 0.5 * ((phi / objective.sd) ** 2).sum()
+    covariance = laplace(objective, hessian)
+    sd = np.sqrt(np.diagonal(covariance))
+    return Fit(
+        objective.at(phi),
+        log_evidence,
+        torch.as_tensor(objective.path),
+        {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
+        converged,
+        phi,
+        covariance,
+        -value + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(objective.sd).sum(),
+    )
+
+
+def minimum(
+    objective: Any,
+    begin: np.ndarray,
+    max_iterations: int,
+    *,
+    widening: float = 1.0,
+    sets: int = 1,
+    report: Callable[[int, np.ndarray], bool] | None = None,
+) -> tuple[np.ndarray, bool]:
+    """φ (P,) of an objective's least value, by Newton's method from ``begin``, and whether the search converged.
+
+    The objective, of ``sets`` data sets, has value, gradient and hessian. ``widening`` is that of the trust region.
+    ``report`` is called with (iterations done, φ), and says whether the search may end there.
+    """
     reached: list[float] = []
 
-    def report(intermediate_result: Any) -> None:
+    def after(intermediate_result: Any) -> None:
         reached.append(intermediate_result.fun)
-        if progress is not None:
-            progress(min(len(reached), max_iterations), max_iterations)
-        if objective.settled(intermediate_result.x):
+        if report is not None and report(len(reached), intermediate_result.x):
             raise StopIteration
         if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
             raise StopIteration  # nothing that the data could tell, down to a tiny trust region
 
-    widening = max(1.0, (len(objective.sd) / 10) ** 0.5)  # many parameters share a step
-    result = minimize(
+    found = minimize(
         objective.value,
-        objective.parameters.of(begin or {}),
+        begin,
         jac=objective.gradient,
         hess=objective.hessian,
         method="trust-exact",
-        callback=report,
+        callback=after,
         options={
             "maxiter": max_iterations,
             "initial_trust_radius": 0.5 * widening,
             "max_trust_radius": 1.5 * widening,
-            "gtol": 0.3,
+            # Curvatures add up, so that a slope of √N leaves the same share of a standard deviation as 1 of one set.
+            "gtol": 0.3 * sets**0.5,
         },
     )
-    value, hessian = objective.value(result.x), objective.curvature(result.x)
-    log_evidence = -value + 0.5 * ((result.x / objective.sd) ** 2).sum()
-    covariance = laplace(objective, hessian)
-    sd = np.sqrt(np.diagonal(covariance))
-    return Fit(
-        objective.at(result.x),
-        log_evidence,
-        torch.as_tensor(objective.path),
-        {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
-        bool(result.success) or len(reached) < max_iterations,
-        result.x,
-        covariance,
-        -value + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(objective.sd).sum(),
-    )
+    return found.x, bool(found.success) or len(reached) < max_iterations
 
 
 def laplace(objective: Objective, hessian: np.ndarray) -> np.ndarray:

@@ -12,14 +12,13 @@ Shapes: N data sets, P parameters φ.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Generic
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import PATIENCE, Free, M, Objective, laplace
+from invdyn.inference.fitting.marginal_likelihood import Free, M, Objective, laplace, minimum
 from invdyn.models.divergence import Diverged
 
 MAX_ITERATIONS = 12
@@ -86,40 +85,19 @@ def fit_summed(
     ]
     summed = _Summed(parts)
     begin = np.zeros(len(summed.sd)) if phi is None else np.asarray(phi, float)
-    reached: list[float] = []
-
-    def report(intermediate_result: Any) -> None:
-        reached.append(intermediate_result.fun)
-        if len(reached) > PATIENCE and reached[-1 - PATIENCE] - reached[-1] < 0.02:
-            raise StopIteration
-
-    result = minimize(
-        summed.value,
-        begin,
-        jac=summed.gradient,
-        hess=summed.hessian,
-        method="trust-exact",
-        callback=report,
-        # Curvatures add up, so that a slope of √N leaves the same share of a standard deviation as 1 of one set.
-        options={
-            "maxiter": MAX_ITERATIONS,
-            "initial_trust_radius": 0.5,
-            "max_trust_radius": 1.5,
-            "gtol": 0.3 * len(parts) ** 0.5,
-        },
-    )
-    values = np.array([part.value(result.x) for part in parts])
+    phi, converged = minimum(summed, begin, MAX_ITERATIONS, sets=len(parts))
+    values = np.array([part.value(phi) for part in parts])
     if (values >= 1e9).any():
         raise Diverged("a data set has no finite evidence at the shared parameters")
-    prior = 0.5 * ((result.x / summed.sd) ** 2).sum()
-    curvature = sum(part.curvature(result.x) for part in parts) - (len(parts) - 1) * np.diag(summed.sd**-2)
+    prior = 0.5 * ((phi / summed.sd) ** 2).sum()
+    curvature = sum(part.curvature(phi) for part in parts) - (len(parts) - 1) * np.diag(summed.sd**-2)
     return SharedFit(
-        [part.at(result.x) for part in parts],
+        [part.at(phi) for part in parts],
         [torch.as_tensor(part.path) for part in parts],
-        result.x,
+        phi,
         laplace(parts[0], curvature),
         prior - values,
-        bool(result.success) or len(reached) < MAX_ITERATIONS,
+        converged,
     )
 
 
