@@ -41,13 +41,13 @@ PATIENCE = 6
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
-SETTLED = 5e-3
+MIN_GAIN = 5e-3
 """nats that a whole Newton step would gain, by which the search ends: φ is then within a tenth of its posterior sd."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
 
-BLOCK, ROWS = 32, 100_000
+SETS_AT_ONCE, ROWS_AT_ONCE = 32, 100_000
 """Parameter sets that are computed at once, and their rows: more are hardly quicker, and take memory."""
 
 NOT_FINITE = (
@@ -194,7 +194,7 @@ class Objective(Generic[M]):
             return False
         _, gradient, hessian = self._known[1]
         values, vectors = np.linalg.eigh(hessian)
-        return bool(values[0] > 0) and 0.5 * float((((gradient @ vectors) ** 2) / values).sum()) < SETTLED
+        return bool(values[0] > 0) and 0.5 * float((((gradient @ vectors) ** 2) / values).sum()) < MIN_GAIN
 
     def curvature(self, phi: np.ndarray) -> np.ndarray:
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
@@ -267,10 +267,10 @@ class Objective(Generic[M]):
         return -value, gradient, hessian
 
     def _evidence(self, phi: np.ndarray, shifts: np.ndarray, smoother: GaussianSmoother) -> np.ndarray:
-        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over one posterior, ``BLOCK`` sets at once."""
+        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over one posterior, ``SETS_AT_ONCE`` at once."""
         slopes = self._slopes_of_means(phi, smoother)
         found = []
-        at_once = max(1, min(BLOCK, ROWS // len(self.observations)))
+        at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
         for some in np.array_split(shifts, -(-len(shifts) // at_once)):
             path = smoother.path.expand(len(some), *smoother.path.shape)
             covariance = smoother.covariance().expand(len(some), -1, -1, -1)

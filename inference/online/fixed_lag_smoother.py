@@ -47,7 +47,7 @@ from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
 WINDOW = 6
 """Rows of the window at least: a state that no single row shows, such as a torque, needs several to be linearised."""
-SETTLED, STEPS = 3.0, 3
+MAX_SHIFT, MAX_STEPS = 3.0, 3
 """A row's steps of Gauss–Newton end when none moves a state by that many of its standard deviations, or after these."""
 RAN_AWAY = (Diverged, Singular, FloatingPointError, np.linalg.LinAlgError)
 
@@ -243,7 +243,7 @@ class Online:
     def _step(self) -> Linearisation:
         """Steps of Gauss–Newton over the window; returns the first linearisation, where a new row is as predicted."""
         first: Linearisation | None = None
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             linear, ahead, onward = self._linearised()
             first = first or linear
             factors = solve(linear)
@@ -255,7 +255,7 @@ class Online:
             self._path = self._path + torch.as_tensor(shift)
             self._ahead = ahead + onward @ torch.as_tensor(shift[-1])
             sd = np.sqrt(np.diagonal(self._covariance, axis1=-2, axis2=-1))
-            if (np.abs(shift) <= SETTLED * sd).all():
+            if (np.abs(shift) <= MAX_SHIFT * sd).all():
                 break
         assert first is not None
         return first

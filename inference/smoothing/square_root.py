@@ -47,7 +47,7 @@ from functools import cache
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
 
-BLOCK = 1024
+ROWS_AT_ONCE = 1024
 """Rows whose transitions are prepared at once."""
 
 
@@ -153,7 +153,7 @@ def _likelihoods(
     for t in range(steps - 1, -1, -1):
         here, later = (t, t + 1) if keep else (0, 0)
         if t < steps - 1:
-            if (place := t % BLOCK) == BLOCK - 1 or t == steps - 2:
+            if (place := t % ROWS_AT_ONCE) == ROWS_AT_ONCE - 1 or t == steps - 2:
                 block = slice(t - place, t + 1)
                 onward = _onward(
                     F[..., block, :, :],
@@ -196,11 +196,11 @@ def _eliminated(noise: np.ndarray, state: np.ndarray, constant: np.ndarray) -> t
     count, width = math.prod(batch), size + dim
     R, B, r = np.empty((count, size, size)), np.empty((count, size, dim)), np.empty((count, size))
     A, alpha = np.empty((count, dim, dim)), np.empty((count, dim))
-    stacked = np.zeros((min(count, BLOCK), size + rows, width + 1))
+    stacked = np.zeros((min(count, ROWS_AT_ONCE), size + rows, width + 1))
     stacked[:, np.arange(size), np.arange(size)] = 1.0
     noise, state, constant = (each.reshape(count, *each.shape[len(batch) :]) for each in (noise, state, constant))
-    for first in range(0, count, BLOCK):
-        here = slice(first, min(first + BLOCK, count))
+    for first in range(0, count, ROWS_AT_ONCE):
+        here = slice(first, min(first + ROWS_AT_ONCE, count))
         below = stacked[: here.stop - first, size:]
         below[..., :size], below[..., size:width], below[..., width] = noise[here], state[here], constant[here]
         triangle = _reduced(stacked[: here.stop - first])

@@ -25,8 +25,9 @@ from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr, ndtri
 from scipy.stats import chi2, multivariate_t, qmc
 
-SETS, ROUNDS, DF, WIDER = 1024, 2, 5.0, 1.3
-LEAST = 1e-4
+SETS, ROUNDS, DF, WIDENING = 1024, 2, 5.0, 1.3
+"""Sets of τ; fits of Student's t, its degrees of freedom, and by how much it is wider than the sets' own spread."""
+MIN_SPREAD = 1e-4
 """Of the scale: below it an sd counts as none."""
 OF_TRIALS = 2.0
 """Of the scale: prior scale of the spread between trials."""
@@ -126,7 +127,7 @@ def pool(
         within[same] -= y[same].mean()
     scale = float(within.std()) or float(y.std()) or float(s.mean()) or 1.0
     wide = max(float(y.std()) / scale, 1.0)
-    y, s = (y - middle) / scale, np.maximum(s / scale, LEAST)
+    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
     levels, own = np.unique(np.asarray(condition, str), return_inverse=True)
     groups = groupings(condition, subject, session)
     design = np.concatenate([np.eye(len(levels))[own], *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
@@ -216,7 +217,7 @@ def _student_points(dimensions: int, count: int) -> np.ndarray:
 
 def _prior_points(log_scale: np.ndarray, count: int) -> np.ndarray:
     """Points log τ (G, d) of the prior, whose scales are e^log_scale (d,)."""
-    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), LEAST)) + log_scale
+    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), MIN_SPREAD)) + log_scale
 
 
 def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,9 +226,9 @@ def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray
     weights = np.exp(log_weights - logsumexp(log_weights))
     centre = weights @ log_tau
     covariance = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
-    shape = WIDER**2 * covariance + 1e-3 * np.eye(dimensions)
+    shape = WIDENING**2 * covariance + 1e-3 * np.eye(dimensions)
     near = centre + _student_points(dimensions, count // 2) @ np.linalg.cholesky(shape).T
-    near = np.clip(near, np.log(LEAST) + log_scale, np.log(8.0) + log_scale)
+    near = np.clip(near, np.log(MIN_SPREAD) + log_scale, np.log(8.0) + log_scale)
     both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])
     # The density of log τ is that of a half-normal times τ.
     own = both - log_scale

@@ -188,7 +188,7 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
         return regress(mean, centre, *others)
 
     monkeypatch.setattr(posterior_linearisation, "regress", counted)
-    monkeypatch.setattr(marginal_likelihood, "BLOCK", 64)  # all sets at once
+    monkeypatch.setattr(marginal_likelihood, "SETS_AT_ONCE", 64)  # all sets at once
     shared = Objective(model, rows, free, None)._expand(phi)
     each = 1 + len(free)
     assert fitted[-4:] == [each, each, 1 + 2 * 5 + 10, 1 + 2 * 2 + 1]

@@ -91,7 +91,7 @@ def test_evidence_against_the_kalman_filter_with_its_normalisers():
 @pytest.mark.parametrize("rows", [2, 6])
 def test_blocks_of_rows_join(rows, monkeypatch):
     """Transitions are prepared by blocks, here of three rows; more entries than states are condensed first."""
-    monkeypatch.setattr(square_root, "BLOCK", 3)
+    monkeypatch.setattr(square_root, "ROWS_AT_ONCE", 3)
     assert_agrees(chain_numbers(1, rows=rows, extra=2, steps=9))
 
 
