@@ -86,7 +86,7 @@ def functional_table(idata: az.InferenceData) -> pd.DataFrame:
             low, median, high = np.quantile(values.isel(joint=k).values, INTERVAL)
             known = {} if true is None else {"truth": true[str(name)][k]}
             quantiles = {"median": median, "q05": low, "q95": high}
-            unit = values.attrs["units"] if turns[k] else values.attrs["units"].replace("N·m", "N")
+            unit = unit_at(values.attrs["units"], turns[k])
             rows.append({"joint": joint, "functional": name, "unit": unit, **quantiles, **known})
     return pd.DataFrame(rows)
 
@@ -111,3 +111,8 @@ def _time(posterior: xr.Dataset) -> np.ndarray:
     if len(time) < MIN_TIMES:
         raise InputError(f"expected {MIN_TIMES} rows or more for rates and integrals of torques, got {len(time)}")
     return time
+
+
+def unit_at(unit: str, turns: bool) -> str:
+    """The unit of a quantity of torques at a joint: one that shifts has a force."""
+    return unit if turns else unit.replace("N·m", "N")

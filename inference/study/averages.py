@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from invdyn.inference.execution.distribute import Tensors
+from invdyn.inference.posterior.functionals import unit_at
 from invdyn.inference.study.pooling import MIN_TRIALS, pool
 from invdyn.inference.study.quantities import at_times
 from invdyn.inference.study.trial import Trial
@@ -21,7 +22,6 @@ from invdyn.inference.study.work import said
 from invdyn.recordings import InputError
 
 TIMES, SETS = 41, 256
-INTERVAL = (0.05, 0.95)
 
 
 def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], align: str, factor: str) -> pd.DataFrame:
@@ -47,7 +47,8 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
     for joint in dict.fromkeys(joint for each in curves for joint in each):
         # A trial whose body lacks the joint is not there.
         mean, spread = np.stack([each.get(joint, np.full((2, len(times)), np.nan)) for each in curves], axis=1)
-        unit = next(_unit(posteriors[place], joint) for place, each in zip(own, curves, strict=True) if joint in each)
+        known = next(said(posteriors[place]) for place, each in zip(own, curves, strict=True) if joint in each)
+        unit = unit_at(known["units"]["torque"], known["turns"][known["joints"].index(joint)])
         for n, time in enumerate(times):
             there = np.isfinite(mean[:, n])
             if there.sum() < MIN_TRIALS:
@@ -55,12 +56,8 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
             labels = levels[there], subjects[there], sessions[there]
             pooled = pool(mean[there, n], spread[there, n], *labels, SETS)
             for level in pooled.levels:
-                average, further = pooled.average(level), pooled.new_trial(level)
-                numbers = {"mean": average.mean, "q05": average.quantile(INTERVAL[0])}
-                numbers |= {"q95": average.quantile(INTERVAL[1])}
-                numbers |= {
-                    f"trial_{end}": further.quantile(p) for end, p in zip(("q05", "q95"), INTERVAL, strict=True)
-                }
+                further = pooled.new_trial(level).summary
+                numbers = pooled.average(level).summary | {f"trial_{end}": further[end] for end in ("q05", "q95")}
                 what = {"joint": joint, factor: level, "time": time}
                 rows.append({**what, **numbers, "unit": unit, "trials": int((levels[there] == level).sum())})
     if not rows:
@@ -82,9 +79,3 @@ def _aligned(part: Tensors, times: np.ndarray) -> dict[str, np.ndarray]:
     both = np.stack([part[name].numpy() for name in ("mean", "spread")])
     found = at_times(part["time"].numpy(), both, times)
     return {joint: found[:, :, k] for k, joint in enumerate(said(part)["joints"])}
-
-
-def _unit(part: Tensors, joint: str) -> str:
-    known = said(part)
-    unit = known["units"]["torque"]
-    return unit if known["turns"][known["joints"].index(joint)] else unit.replace("N·m", "N")

@@ -62,6 +62,11 @@ class Mixture:
         return float(brentq(lambda x: self.below(x) - share, *ends, xtol=1e-9 * (ends[1] - ends[0])))
 
     @property
+    def summary(self) -> dict[str, float]:
+        """Mean, and the ends q05 and q95 of the 90 % interval."""
+        return {"mean": self.mean, "q05": self.quantile(0.05), "q95": self.quantile(0.95)}
+
+    @property
     def direction(self) -> float:
         """Probability of the more probable sign."""
         negative = self.below(0.0)
@@ -133,7 +138,7 @@ def pool(
     design = np.concatenate([np.eye(len(levels))[own], *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
     log_scale = np.log([OF_TRIALS, *(wide if name == "subject" else 1.0 for name in groups)])
-    log_tau, log_weights = _prior_points(log_scale, sets), np.zeros(sets)
+    log_tau = _prior_points(log_scale, sets)
     log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
     for _ in range(ROUNDS):
         log_tau, importance = _adapted(log_tau, log_weights, log_scale)

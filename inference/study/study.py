@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from invdyn.inference.execution.distribute import Tensors
+from invdyn.inference.posterior.functionals import unit_at
 from invdyn.inference.study.averages import average_curves
 from invdyn.inference.study.pooling import MIN_TRIALS, Pooled, pool
 from invdyn.inference.study.quantities import STATISTICS
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONDITION = "condition"
-INTERVAL = (0.05, 0.95)
 FOUND = 0.975
 """Probability of a direction from which on a difference is said to be found: its 95 % interval leaves zero out."""
 
@@ -60,8 +60,7 @@ class Study:
             known, numbers = said(part), part["statistics"].numpy()
             for q, (quantity, unit) in enumerate(known["quantities"].items()):
                 for k, joint in enumerate(known["joints"]):
-                    own = unit if known["turns"][k] else unit.replace("N·m", "N")
-                    what = {"joint": joint, "quantity": quantity, "unit": own}
+                    what = {"joint": joint, "quantity": quantity, "unit": unit_at(unit, known["turns"][k])}
                     rows.append(
                         {**self.trials[place].labels, **what, **dict(zip(STATISTICS, numbers[q, k], strict=True))}
                     )
@@ -107,9 +106,7 @@ class Study:
         rows = []
         for what, pooled, counts in self._pooled(factor):
             for level in pooled.levels:
-                average = pooled.average(level)
-                ends = {"q05": average.quantile(INTERVAL[0]), "q95": average.quantile(INTERVAL[1])}
-                rows.append({**what, factor: level, "mean": average.mean, **ends, "trials": counts[level]})
+                rows.append({**what, factor: level, **pooled.average(level).summary, "trials": counts[level]})
         return pd.DataFrame(rows)
 
     def difference(self, factor: str = CONDITION) -> pd.DataFrame:
@@ -124,10 +121,9 @@ class Study:
         for what, pooled, counts in self._pooled(factor):
             for first, second in combinations(pooled.levels, 2):
                 own = pooled.difference(first, second)
-                numbers = {"mean": own.mean, "q05": own.quantile(INTERVAL[0]), "q95": own.quantile(INTERVAL[1])}
                 found = {"direction": own.direction, "found": own.direction >= FOUND}
                 sizes = {"trials": counts[first] + counts[second], "confounded": pooled.confounded}
-                rows.append({**what, "first": first, "second": second, **numbers, **found, **sizes})
+                rows.append({**what, "first": first, "second": second, **own.summary, **found, **sizes})
         if not rows:
             raise InputError(f"expected two levels of {factor!r} or more to compare, got one")
         return pd.DataFrame(rows)
