@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from invdyn.inference.study.study import Study
     from invdyn.models import Body
 
-SAID = 20
-"""Reasons that are printed."""
+MAX_LINES = 20
+"""Of trials that are left out, and of those in doubt, that are printed."""
 
 
 def register(command: Callable[..., Any]) -> None:
@@ -104,14 +104,10 @@ def study_text(study: "Study") -> str:
     from invdyn.recordings import InputError
 
     lines = [f"{len(study.posteriors)} of {len(study.trials)} trials, {len(study.sessions)} sessions"]
-    reasons = [f"left out: {row.trial}: {row.reason}" for row in study.reasons.itertuples()]
-    lines += reasons[:SAID]
-    if len(reasons) > SAID:
-        lines.append(f"left out: {len(reasons) - SAID} more, named in left_out.csv")
-    doubts = [f"in doubt: {row.trial}: {row.doubt}" for row in study.doubts.itertuples()]
-    lines += doubts[:SAID]
-    if len(doubts) > SAID:
-        lines.append(f"in doubt: {len(doubts) - SAID} more, named in in_doubt.csv")
+    for what, table, why in (("left out", study.reasons, "reason"), ("in doubt", study.doubts, "doubt")):
+        lines += [f"{what}: {trial}: {said}" for trial, said in table[["trial", why]].head(MAX_LINES).values]
+        if (more := len(table) - MAX_LINES) > 0:
+            lines.append(f"{what}: {more} more, named in {what.replace(' ', '_')}.csv")
     for factor in dict.fromkeys(name for trial in study.trials for name in trial.factors):
         try:
             differences = study.difference(factor)
