@@ -60,7 +60,7 @@ from .methods.smc import smc as smc
 from .methods.svi import svi as svi
 from .methods.variational_smc import vsmc as vsmc
 from .online.change import ChangeTest as ChangeTest
-from .online.fixed_lag_smoother import Online as Online
+from .online.fixed_lag_smoother import FixedLagSmoother as FixedLagSmoother
 from .online.fixed_lag_smoother import Smoothed as Smoothed
 from .parameters.filter_bank import FilterBank as FilterBank
 from .parameters.pmmh import pmmh as pmmh

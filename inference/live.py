@@ -22,7 +22,7 @@ from torch import Tensor
 
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.online.change import ChangeTest
-from invdyn.inference.online.fixed_lag_smoother import WINDOW, Online, Smoothed
+from invdyn.inference.online.fixed_lag_smoother import WINDOW, FixedLagSmoother, Smoothed
 from invdyn.inference.task import prepare
 from invdyn.models import ArmModel, ArticulatedBody, OrnsteinUhlenbeck
 from invdyn.models.bodies.protocol import axes
@@ -105,7 +105,7 @@ class LiveArm:
             self.columns += [f"{name}_angle" for name in joints]
         self.commands = [f"{name}_torque" for name in joints] if commanded else []
         grid = np.arange(max(rows + 1, WINDOW) + 2) / self.fps
-        self.online = Online(
+        self.smoother = FixedLagSmoother(
             model.at_times(grid),
             rows,
             with_inputs=(lambda own, inputs: own.commanded(inputs)) if commanded else None,
@@ -116,7 +116,7 @@ class LiveArm:
 
     def forget(self) -> None:
         """Forget all rows; what was fitted stays."""
-        self.online.forget()
+        self.smoother.forget()
         self.test.restart()
         self._first: float | None = None
         self._command = np.full(len(self.commands), np.nan)
@@ -135,8 +135,8 @@ class LiveArm:
         self._first = time if self._first is None else self._first
         step = round((time - self._first) * self.fps)
         found: list[Smoothed] = []
-        if abs(step - self.online.next) > MAX_GAP * self.fps:
-            found += self.online.restart(step)
+        if abs(step - self.smoother.next) > MAX_GAP * self.fps:
+            found += self.smoother.restart(step)
         y, own = (_finite(values, names) for names in (self.columns, self.commands))
         command = np.where(np.isnan(own), self._command, own)
         if missing := [name for name, value in zip(self.commands, command, strict=True) if math.isnan(value)]:
@@ -144,14 +144,14 @@ class LiveArm:
                 f"expected {', '.join(missing)} from the first row on, as the calibration has commands, got none: "
                 "send it, or hide the commands (--hide-torque)"
             )
-        late = step < self.online.next
+        late = step < self.smoother.next
         self._command = self._command if late else command  # what comes late does not stand
         inputs = None if not self.commands or (late and np.isnan(own).any()) else command
-        return [self._answer(each) for each in found + self.online.add(step, y, inputs)]
+        return [self._answer(each) for each in found + self.smoother.add(step, y, inputs)]
 
     def finish(self) -> list[LiveRow]:
         """Answers of the last rows: none is to come."""
-        return [self._answer(each) for each in self.online.finish()]
+        return [self._answer(each) for each in self.smoother.finish()]
 
     def table_row(self, row: LiveRow) -> dict[str, float]:
         """An answer as a line of a table: as the curves of `invdyn infer` have it, median and ends of the bands."""
@@ -170,8 +170,8 @@ class LiveArm:
         yield from self.finish()
 
     def _answer(self, state: Smoothed) -> LiveRow:
-        if self.online.counts.restarts > self._restarts:
-            self._restarts = self.online.counts.restarts
+        if self.smoother.counts.restarts > self._restarts:
+            self._restarts = self.smoother.counts.restarts
             self.test.restart()
         if changed := self.test.add(state.innovation):
             self.test.restart()

@@ -75,7 +75,7 @@ def live(
     ):
         given = rows(iter(lines) if udp is None else _packets(address, udp), names)
         _write(following, following.follow(given), sheet)
-    counts = following.online.counts
+    counts = following.smoother.counts
     print_line(
         "live",
         f"{counts.rows} rows answered, {counts.lost} lost, {counts.late} too late, {counts.doubled} doubled, "

@@ -93,7 +93,7 @@ class Counts:
     restarts: int = 0
 
 
-class Online:
+class FixedLagSmoother:
     """Fixed-lag smoother: rows in by :meth:`add`, states of the rows ``lag`` before out.
 
     Args:

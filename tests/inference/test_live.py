@@ -57,7 +57,7 @@ def test_rows_lost_late_and_doubled_are_counted(live, body):
     rows = [*rows[:50], rows[49], *rows[53:], rows[10]]
     live.forget()
     answers = list(live.follow(rows))
-    counts = live.online.counts
+    counts = live.smoother.counts
     assert (counts.rows, counts.lost, counts.late, counts.doubled, counts.restarts) == (100, 3, 1, 1, 0)
     mean, sd = (np.array([each.torque[k] for each in answers]) for k in (0, 1))
     assert (np.abs(truth.torque - mean) < QUANTILE * sd).mean() > 0.75
@@ -73,7 +73,7 @@ def test_jitter_of_a_clock_is_no_matter(live, body):
     for shift in (0 * off, off - off[0]):
         live.forget()
         found.append(list(live.follow((time + s, values) for (time, values), s in zip(rows, shift, strict=True))))
-    assert live.online.counts.lost == 0
+    assert live.smoother.counts.lost == 0
     for one, other in zip(*found, strict=True):
         assert one.torque == pytest.approx(other.torque, rel=1e-9)
 
@@ -83,8 +83,8 @@ def test_a_long_pause_starts_again(live, body):
     rows = rows_of(live, recording)
     live.forget()
     answers = list(live.follow([*rows, *((time + 60, values) for time, values in rows)]))
-    assert live.online.counts.restarts == 1
-    assert live.online.counts.lost == 0
+    assert live.smoother.counts.restarts == 1
+    assert live.smoother.counts.lost == 0
     again = [each for each in answers if each.time > 59]
     assert len(again) == len(rows)
     assert np.abs(np.array([each.angle[0] for each in again]) - truth.angle).max() < 0.03
@@ -95,7 +95,7 @@ def test_a_clock_that_begins_anew_starts_again(live, body):
     rows = rows_of(live, recording)
     live.forget()
     answers = list(live.follow([*((time + 60, values) for time, values in rows), *rows]))
-    assert (live.online.counts.restarts, live.online.counts.late) == (1, 0)
+    assert (live.smoother.counts.restarts, live.smoother.counts.late) == (1, 0)
     again = [each for each in answers if each.time < 59]
     assert [each.time for each in again] == pytest.approx(recording.time)
     assert np.abs(np.array([each.angle[0] for each in again]) - truth.angle).max() < 0.03
@@ -110,7 +110,7 @@ def test_an_infinite_number_is_a_missing_one(live, body):
             rows[n] = (rows[n][0], dict.fromkeys(rows[n][1], wrong))
         live.forget()
         found.append(list(live.follow(rows)))
-    assert live.online.counts.restarts == 0
+    assert live.smoother.counts.restarts == 0
     for one, other in zip(*found, strict=True):
         assert one.torque == pytest.approx(other.torque, rel=1e-9)
 

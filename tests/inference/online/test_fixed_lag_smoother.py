@@ -6,15 +6,15 @@ import pytest
 import torch
 from stiff_arm import arm
 
-from invdyn.inference import ModelError, Online, gauss_newton
+from invdyn.inference import FixedLagSmoother, ModelError, gauss_newton
 
 ROWS = 40
 
 
 def run(model, y, lag, order=None, **options):
-    online = Online(model, lag, **options)
-    found = [each for t in (range(len(y)) if order is None else order) for each in online.add(t, y[t])]
-    return online, [*found, *online.finish()]
+    smoother = FixedLagSmoother(model, lag, **options)
+    found = [each for t in (range(len(y)) if order is None else order) for each in smoother.add(t, y[t])]
+    return smoother, [*found, *smoother.finish()]
 
 
 @pytest.fixture(scope="module", name="chain")
@@ -73,8 +73,9 @@ def test_rows_late_lost_and_doubled(chain, y):
     order.insert(order.index(15) + 1, 12)
     order.insert(order.index(25) + 1, 25)
     order.insert(order.index(35), 8)
-    online, found = run(chain.model(12), y, 6, order)
-    assert (online.counts.rows, online.counts.lost, online.counts.late, online.counts.doubled) == (ROWS, 2, 1, 1)
+    smoother, found = run(chain.model(12), y, 6, order)
+    counts = smoother.counts
+    assert (counts.rows, counts.lost, counts.late, counts.doubled) == (ROWS, 2, 1, 1)
     without = y.copy()
     without[[8, 20]] = np.nan
     for each in found:
@@ -114,8 +115,8 @@ def test_an_arm_is_as_its_smoother_has_it(noise):
 
 def test_what_cannot_be_is_refused(chain):
     with pytest.raises(ValueError, match="lag of 0 rows or more"):
-        Online(chain.model(12), -1)
+        FixedLagSmoother(chain.model(12), -1)
     with pytest.raises(ValueError, match="model of more than 20 rows"):
-        Online(chain.model(12), 19)
+        FixedLagSmoother(chain.model(12), 19)
     with pytest.raises(ModelError, match="expected row 3 of shape"):
-        Online(chain.model(12), 1).add(3, np.zeros(7))
+        FixedLagSmoother(chain.model(12), 1).add(3, np.zeros(7))
