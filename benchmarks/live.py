@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from trees import panda
 
-from invdyn.inference.live import QUANTILE, LiveArm
+from invdyn.inference.live import Z90, LiveArm
 from invdyn.inputs import load_body
 from invdyn.models.effects.viscous_friction import ViscousFriction
 from invdyn.simulate import random_arm, record
@@ -71,7 +71,7 @@ def latency(name: str, body, fps: float, minutes: float, **options) -> str:
             alarms += sum(each.changed for each in answers)
             truth = model.net_torque(states)[: len(answers)].numpy()
             mean, sd = (np.array([each.torque[k] for each in answers]) for k in (0, 1))
-            inside.append(np.abs(truth - mean) < QUANTILE * sd)
+            inside.append(np.abs(truth - mean) < Z90 * sd)
     ms = np.concatenate(taken)
     quantiles = " | ".join(f"{np.quantile(ms, q):.2f}" for q in (0.5, 0.95, 0.99, 1.0))
     over, holds = (ms > 1e3 / fps).mean(), np.concatenate(inside).mean()

@@ -29,8 +29,8 @@ from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Filmed
 
-QUANTILE = 1.6448536269514722
-"""Of a Gaussian, 95 %."""
+Z90 = 1.6448536269514722
+"""Half a central 90 % interval of a Gaussian, in standard deviations."""
 MAX_GAP = 10.0
 """s by which time jumps, either way, after which all begins again: what was before says no more of the motion."""
 LAST_TIME = 1e11
@@ -159,7 +159,7 @@ class LiveArm:
         for quantity in ("torque", "angle", "velocity"):
             mean, sd = getattr(row, quantity)
             for k, joint in enumerate(self.body.joint_names):
-                for suffix, side in (("", 0.0), ("_q05", -QUANTILE), ("_q95", QUANTILE)):
+                for suffix, side in (("", 0.0), ("_q05", -Z90), ("_q95", Z90)):
                     line[f"{joint}_{quantity}{suffix}"] = float(mean[k] + side * sd[k])
         return line | {"changed": float(row.changed)}
 

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from invdyn.diagnosis.report.figures import Z90
 from invdyn.inference import load_posterior
 from invdyn.inference.study.store import FILES, study_files
 from invdyn.recordings import InputError, write_text
@@ -30,7 +31,6 @@ MAX_ROWS = 2000
 """Rows that a page has at most: a screen has no more pixels."""
 DRAWS = 8
 """Posterior draws of the body, pale."""
-Z90 = 1.6448536
 DIAGNOSIS = "diagnosis.json"
 STYLES = ("after", "before", "third", "fourth")
 """Of a study's levels."""
