@@ -34,10 +34,10 @@ NAMES = {"T": "rows T", "N": "particles N", "M": "filters M", "K": "joints K"}
 FIGURE = Path(__file__).parents[1] / "docs" / "cost.png"
 
 
-def peak_mb() -> float:
-    """The largest resident memory of this process so far, MB."""
-    unit = 1e6 if sys.platform == "darwin" else 1e3  # bytes there, kB elsewhere
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+def peak_mb(used: resource.struct_rusage | None = None) -> float:
+    """The largest resident memory of this process so far, or of what a process has ``used``, MB."""
+    used = used or resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)  # bytes there, kB elsewhere
 
 
 def now() -> tuple[float, float]:
@@ -134,13 +134,10 @@ def long_recordings(sizes: list[int]) -> None:
         import arviz as az
 
         found = az.from_netcdf(str(out), engine="h5netcdf")
-        seconds_taken, memory = (
-            used.ru_utime + used.ru_stime,
-            used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),
-        )
+        taken = used.ru_utime + used.ru_stime
         sizes_of = found["posterior"].sizes
         print(
-            f"| {rows} | {seconds_taken:.1f} | {1e6 * seconds_taken / rows:.0f} | {memory:.0f} "
+            f"| {rows} | {taken:.1f} | {1e6 * taken / rows:.0f} | {peak_mb(used):.0f} "
             f"| {out.stat().st_size / 1e6:.0f} | {sizes_of['chain'] * sizes_of['draw']} "
             f"| {found.attrs['log_evidence'] / rows:.4f} |",
             flush=True,

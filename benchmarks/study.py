@@ -48,10 +48,9 @@ LIFT = 0.6
 BODY = load_body("paper_planar_arm")
 
 
-def lift(time, begin, size):
-    """(T, K) N·m."""
-    share = np.clip((time - begin) / LIFT, 0, 1)
-    return np.sin(np.pi * share)[:, None] ** 2 * size
+def lift(time, begin):
+    """The torque's share of its size (…, T)."""
+    return np.sin(np.pi * np.clip((time - begin) / LIFT, 0, 1)) ** 2
 
 
 def simulate(seed, subjects, sessions, trials, rows, fps, effect=EFFECT, bad=None):
@@ -72,7 +71,7 @@ def simulate(seed, subjects, sessions, trials, rows, fps, effect=EFFECT, bad=Non
                     time_of,
                     Observation(Keypoints(BODY.keypoint_names)),
                     torque=OrnsteinUhlenbeck(),
-                    command=lift(time_of, begin, own),
+                    command=lift(time_of, begin)[:, None] * own,
                     substeps=int(np.ceil(250 / fps)),
                     parameters={
                         "emission.keypoint_scale": noise,
@@ -109,8 +108,7 @@ def true_effect(rows, fps, effect, draws=40_000):
         torque[:, t] = keep * torque[:, t - 1] + sd * np.sqrt(1 - keep**2) * rng.normal(size=draws)
     size = SIZE[0] * np.exp(rng.normal(0, SIZE_DIFFERS, draws)) * (1 + rng.normal(0, TRIAL_DIFFERS, draws))
     gain = rng.normal(effect, DIFFERS if effect else 0.0, draws)
-    share = np.clip((time_of - 0.1 - 0.1 * rng.random(draws)[:, None]) / LIFT, 0, 1)
-    shape = np.sin(np.pi * share) ** 2
+    shape = lift(time_of, 0.1 + 0.1 * rng.random(draws)[:, None])
 
     def peak(sizes):
         whole = torque + shape * sizes[:, None]
