@@ -54,7 +54,7 @@ def fit_scales(
     for turn in range(ROUNDS if free else 0):
         parameters = LogParameters(model, free)
         fitted = Fitted.of(model, observations, smoother.path, smoother.covariance())
-        phi = _best(parameters, fitted, smoother)
+        phi = _best(parameters, fitted)
         model = parameters.at(torch.as_tensor(phi))
         smoother = statistical_homotopy(model, observations, refine=smoother)
         if progress is not None:
@@ -64,7 +64,7 @@ def fit_scales(
     return model, smoother, settled
 
 
-def _best(parameters: LogParameters, fitted: Fitted, smoother: GaussianSmoother) -> np.ndarray:
+def _best(parameters: LogParameters, fitted: Fitted) -> np.ndarray:
     """φ (P,) of the highest evidence, given what was fitted."""
 
     def value(phi: np.ndarray) -> float:

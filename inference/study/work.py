@@ -31,6 +31,7 @@ from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.inference.posterior.problem import DRAWS
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.study.quantities import quantities, statistics
 from invdyn.inference.study.trial import How, Trial
@@ -40,6 +41,7 @@ from invdyn.models.divergence import Diverged
 from invdyn.recordings.errors import first_line
 
 VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
+NOT_SETTLED = "the fit did not settle"
 Report = Callable[[int, int], None] | None
 
 
@@ -55,9 +57,6 @@ def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
         return {**values, "path": found.path, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
 
     return _guarded(work)
-
-
-NOT_SETTLED = "the fit did not settle"
 
 
 def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
@@ -122,10 +121,8 @@ def infer_trial(
         if note := evidence_note(idata):
             return _left_out(f"the evidence of {how.method} is {note}")
         posterior = idata["posterior"]
-        drawn = {
-            name: posterior[name].transpose("chain", "draw", "time", "joint").values.reshape(-1, *path_shape(posterior))
-            for name in CURVES
-        }
+        curves = {name: posterior[name].transpose(*DRAWS, "time", "joint").values for name in CURVES}
+        drawn = {name: each.reshape(-1, *each.shape[-2:]) for name, each in curves.items()}
         found = quantities(idata, trial.events)
         kept = np.linspace(0, len(drawn["torque"]) - 1, min(how.stored, len(drawn["torque"]))).round().astype(int)
         tensors = {name: torch.as_tensor(each[kept].astype(np.float32)) for name, each in drawn.items()}
@@ -141,11 +138,6 @@ def infer_trial(
         )
 
     return _guarded(work)
-
-
-def path_shape(posterior: Any) -> tuple[int, int]:
-    """(T, K) of a posterior."""
-    return posterior.sizes["time"], posterior.sizes["joint"]
 
 
 def bound(trial: Trial, how: How) -> tuple[Problem, list[Any]]:
