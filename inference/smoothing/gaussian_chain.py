@@ -29,8 +29,8 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import forward_mean
 
-PATHS = 64
-"""Paths that are drawn at once."""
+PATHS_AT_ONCE = 64
+"""That are drawn without gradients."""
 
 
 class GaussianChain(TorchDistribution):
@@ -88,7 +88,7 @@ class GaussianChain(TorchDistribution):
         out = torch.empty(shape.numel() // (steps * dim), steps, dim, dtype=dtype or self.loc.dtype)
         gain, root = (each.detach().cpu() for each in (self.gain, self.root))
         with seeded(seed, self.loc.device):
-            for paths in out.split(PATHS):
+            for paths in out.split(PATHS_AT_ONCE):
                 noise = torch.randn(len(paths), steps, dim, dtype=self.loc.dtype, device=self.loc.device).cpu()
                 deviation = (root @ noise.permute(1, 2, 0)).numpy()  # (T, D, paths): one product a row
                 for before, here, own in zip(deviation, deviation[1:], gain[1:].numpy(), strict=False):
