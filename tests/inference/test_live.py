@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
 from invdyn.inference import LiveArm
 from invdyn.inference.live import QUANTILE
@@ -46,8 +47,14 @@ def test_bands_hold_the_torques(live, body):
     off = np.abs(truth.torque - mean)
     assert 0.8 < (off < QUANTILE * sd).mean() < 0.97
     assert np.sqrt((off**2).mean(0)) == pytest.approx(np.sqrt((sd**2).mean(0)), rel=0.3)
-    angle = np.array([each.angle[0] for each in answers])
+    angle, velocity = (np.array([getattr(each, name)[0] for each in answers]) for name in ("angle", "velocity"))
     assert np.abs(angle - truth.angle).max() < 0.03
+    inner = slice(5, -5)
+    assert velocity[inner] == pytest.approx(np.gradient(truth.angle, 1 / FPS, axis=0)[inner], abs=1.0)
+    line = live.table_row(answers[30])
+    assert line["elbow_velocity"] == answers[30].velocity[0, 1]
+    ends = [line[f"shoulder_torque_{end}"] for end in ("q05", "q95")]
+    assert ends == pytest.approx(norm.ppf([0.05, 0.95], answers[30].torque[0, 0], answers[30].torque[1, 0]))
 
 
 def test_rows_lost_late_and_doubled_are_counted(live, body):
@@ -125,6 +132,27 @@ def test_a_late_row_has_its_own_command_and_none_else(commanded, body):
     assert np.sqrt(((torque - truth.torque) ** 2).mean(0)) == pytest.approx([0.0, 0.0], abs=0.01)
 
 
+def test_a_command_stands_until_the_next_one_in_time(commanded, body):
+    """Row 20 comes late without a command, and row 22 has none: they have those of rows 19 and 21."""
+    recording, _ = record(random_arm(body, duration=1, seed=7, commanded=True, **PLAIN), seed=7)
+    found = []
+    for sent in (False, True):
+        rows = rows_of(commanded, recording)
+        for n in (20, 22):
+            before = {name: rows[n - 1][1][name] for name in commanded.commands}
+            rest = {name: value for name, value in rows[n][1].items() if name in commanded.columns}
+            rows[n] = (rows[n][0], rest | (before if sent else {}))
+        if not sent:
+            # another command, which comes late, does not stand
+            rows[30] = (rows[30][0], {name: rows[30][1][name] for name in commanded.columns})
+        else:
+            rows[30] = (rows[30][0], rows[30][1] | {name: rows[29][1][name] for name in commanded.commands})
+        rows[20], rows[21], rows[28], rows[29] = rows[21], rows[20], rows[29], rows[28]
+        commanded.forget()
+        found.append([each.torque for each in commanded.follow(rows)])
+    assert np.array(found[0]) == pytest.approx(np.array(found[1]), rel=1e-9)
+
+
 def test_rows_without_the_calibrations_commands_are_refused(commanded):
     commanded.forget()
     with pytest.raises(InputError, match="shoulder_torque, elbow_torque from the first row on"):
@@ -161,6 +189,7 @@ def test_a_load_is_told_within_two_seconds(commanded, body):
         if each.changed
     ]
     assert 2.0 <= told[0] <= 4.0
+    assert told[1] - told[0] > 1.5 / FPS  # after an alarm it begins again
 
 
 def test_what_cannot_be_is_refused(live, body):

@@ -9,8 +9,8 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
-from invdyn.inference.fitting.summed_evidence import at_common_start, fit_summed
+from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
+from invdyn.inference.fitting.summed_evidence import _Summed, at_common_start, fit_summed
 
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
 LENGTHS = (20, 35, 27)
@@ -53,6 +53,41 @@ def test_the_optimum_is_that_of_evidences_added_by_hand(chain, sets):
     ]
     exact = np.linalg.inv(np.array(hessian) / 4e-6)
     assert found.covariance == pytest.approx(exact, abs=0.15 * exact.max())
+
+
+TIGHT = [Free("transition_root", tied=True, sd=0.05), Free("emission_root", tied=True, sd=0.03)]
+"""Priors that say as much as the data: one that is counted twice shows."""
+
+
+def test_value_gradient_and_hessian_have_the_prior_once(chain, sets):
+    """Away from the optimum, against differences of the Kalman filter's evidences."""
+    models = [chain.model(len(y)) for y in sets]
+    parts = [Objective(model, torch.as_tensor(y), TIGHT, None) for model, y in zip(models, sets, strict=True)]
+    whole, at, h = _Summed(parts), np.array([0.08, -0.05]), 1e-3 * np.eye(2)
+
+    def exact(phi):
+        return 0.5 * ((phi[0] / 0.05) ** 2 + (phi[1] / 0.03) ** 2) - sum(kalman(chain, y, phi) for y in sets)
+
+    gradient = [(exact(at + step) - exact(at - step)) / 2e-3 for step in h]
+    hessian = [[exact(at + a + b) - exact(at + a - b) - exact(at - a + b) + exact(at - a - b) for b in h] for a in h]
+    assert whole.value(at) - whole.value(0 * at) == pytest.approx(exact(at) - exact(0 * at), abs=1e-6)
+    assert whole.gradient(at) == pytest.approx(gradient, rel=1e-3)
+    assert whole.hessian(at) == pytest.approx(np.array(hessian) / 4e-6, rel=0.1, abs=20.0)
+
+
+def test_a_prior_that_says_much_counts_once_in_the_covariance(chain, sets):
+    models = [chain.model(len(y)) for y in sets]
+    found = fit_summed(models, [torch.as_tensor(y) for y in sets], TIGHT, starts=[None] * 3)
+
+    def summed(phi):
+        return 0.5 * ((phi[0] / 0.05) ** 2 + (phi[1] / 0.03) ** 2) - sum(kalman(chain, y, phi) for y in sets)
+
+    h = 1e-3 * np.eye(2)
+    hessian = [
+        [summed(found.phi + a + b) - summed(found.phi + a - b) - summed(found.phi - a + b) + summed(found.phi - a - b)
+         for b in h] for a in h
+    ]  # fmt: skip
+    assert found.covariance == pytest.approx(np.linalg.inv(np.array(hessian) / 4e-6), rel=0.1, abs=3e-5)
 
 
 def test_paths_stay_each_set_s_own(chain, sets):

@@ -42,7 +42,7 @@ def test_a_batch_has_each_sets_smoother(sets):
         "laplace",
         problems,
         torch.stack([each.path for each in own]),
-        [2] * 3,
+        [2, 1, 3],
         [0.0] * 3,
         SMCOptions(6, 10, 100),
         0,
@@ -50,12 +50,12 @@ def test_a_batch_has_each_sets_smoother(sets):
     )
     (whole,) = parts
     drawn_of = whole["posterior"]["torque"].transpose("chain", "draw", ...).values[..., 0]
-    for k, each in enumerate(own):
-        evidences = whole["sample_stats"]["log_evidence"].values[2 * k : 2 * k + 2]
+    for each, mine in zip(own, (slice(0, 2), slice(2, 3), slice(3, 6)), strict=True):
+        evidences = whole["sample_stats"]["log_evidence"].values[mine]
         np.testing.assert_allclose(evidences, -each.offset, atol=0.02)
         sd = gaussian_smoother(each.model, problem.observations).covariance()[:, 0, 0].sqrt().numpy()
-        drawn = drawn_of[2 * k : 2 * k + 2].reshape(200, -1).std(0)
-        assert np.median(drawn / sd) == pytest.approx(1, abs=0.1)  # of 200 draws each, over 40 rows
+        drawn = drawn_of[mine].reshape(-1, ROWS).std(0)
+        assert np.median(drawn / sd) == pytest.approx(1, abs=0.1)  # of 100 draws or more, over 40 rows
 
 
 @pytest.mark.parametrize("method", ["smc", "nested"])
@@ -72,6 +72,15 @@ def test_each_filter_has_a_set_of_its_own(sets, method):
     one, two = (pooled(each)["torque"].values[..., 0] for each in (found, gaussian))
     assert np.abs(one.mean(0) - two.mean(0)).max() < 5 * two.std(0).max() / np.sqrt(24)
     assert np.median(one.std(0) / two.std(0)) == pytest.approx(1, abs=0.15)
+
+
+def test_tasks_draw_by_seeds_of_their_own(sets):
+    """Three tasks of the same set, each a filter of two draws; another seed has other draws."""
+    problem, own = sets
+    options = SMCOptions(3, 10, 2, filters_per_task=1)
+    found = [over_sets("laplace", problem, own[:1] * 3, options=options, seed=seed) for seed in (3, 4)]
+    drawn = np.concatenate([each["posterior"]["torque"].values.reshape(6, -1) for each in found])
+    assert len(np.unique(drawn, axis=0)) == 12
 
 
 @pytest.mark.long

@@ -21,6 +21,7 @@ def alarms(test, innovations):
 def test_the_bound_on_false_alarms_holds():
     """A threshold of 1/60 hour, 3,000 rows: at most one alarm in as many, within Monte Carlo error."""
     test = ChangeTest(RATE, hours=1 / 60)
+    assert np.exp(test.log_threshold) == pytest.approx(3000)
     found = alarms(test, np.random.default_rng(0).normal(size=(30_000, 3)) * 1.1)
     assert len(found) <= 10 + 2 * 10**0.5
     assert not alarms(ChangeTest(RATE), np.random.default_rng(1).normal(size=(20_000, 3)))
@@ -55,6 +56,19 @@ def test_a_change_is_told_within_two_seconds(change):
         assert not alarms(test, before)
         assert any(test.add(z) for z in after)
         assert 0 <= test.since <= 100
+
+
+@pytest.mark.parametrize("before", [30, 190, 230])
+def test_it_tells_how_long_ago_the_change_was(before):
+    """Also where starts of two seconds, 100 rows, have made place for others."""
+    z = np.concatenate([np.tile([[0.5, -0.5], [-0.5, 0.5]], (before // 2, 1)), np.tile([[4.0], [-4.0]], (2, 2))])
+    test, fresh = ChangeTest(RATE, hours=1e6), ChangeTest(RATE, hours=1e6)
+    for row in z:
+        test.add(row)
+    for row in z[-100:]:
+        fresh.add(row)
+    assert test.since == 3
+    assert test.log_ratio == pytest.approx(fresh.log_ratio, rel=1e-12)
 
 
 def test_missing_entries_say_nothing():

@@ -62,6 +62,7 @@ def test_innovations_are_those_of_the_kalman_filter(chain, y):
         off = row[seen] - chain.C[seen] @ mean
         if t >= 6 and seen.any():
             z = found[t].innovation
+            assert np.isfinite(z).sum() == seen.sum()  # a missing entry is none that was as predicted
             assert (z[np.isfinite(z)] ** 2).sum() == pytest.approx(off @ np.linalg.solve(S, off), rel=1e-8)
         gain = cov @ chain.C[seen].T @ np.linalg.inv(S)
         mean, cov = mean + gain @ off, cov - gain @ S @ gain.T
@@ -82,6 +83,21 @@ def test_rows_late_lost_and_doubled(chain, y):
         if each.last in (12, 13, 14, 15):
             continue  # row 12 was not there yet
         means, covs = oracles.rts(chain, without[: each.last + 1])
+        assert each.mean == pytest.approx(means[each.t], abs=1e-9)
+        assert each.covariance == pytest.approx(covs[each.t], abs=1e-9)
+
+
+def test_the_first_row_of_a_number_stands(chain, y):
+    """Row 25 again, with other values: they fill in what was missing, and change nothing that was seen."""
+    rows, partial = y.copy(), y.copy()
+    rows[25] = np.where(np.isnan(y[25]), 0.3, y[25])
+    partial[25] = np.where(np.arange(len(y[25])) == 0, np.nan, rows[25])
+    online = Online(chain.model(12), 6)
+    found = [each for t in range(26) for each in online.add(t, partial[t])]
+    online.add(25, np.where(np.arange(len(y[25])) == 0, rows[25], rows[25] + 5.0))
+    found += [each for t in range(26, ROWS) for each in online.add(t, y[t])]
+    for each in found:
+        means, covs = oracles.rts(chain, (partial if each.last == 25 else rows)[: each.last + 1])
         assert each.mean == pytest.approx(means[each.t], abs=1e-9)
         assert each.covariance == pytest.approx(covs[each.t], abs=1e-9)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from invdyn.inference.study.pooling import Mixture, _given, confounded, groupings, pool
+from invdyn.inference.study.pooling import Mixture, Pooled, _given, confounded, groupings, pool
 
 SUBJECT = np.repeat(["a", "b", "c"], 4)
 CONDITION = np.tile(["x", "x", "y", "y"], 3)
@@ -93,6 +93,33 @@ def test_trials_known_exactly_and_alike_leave_the_plain_difference():
     assert pooled.average("y").mean == pytest.approx(3.0, abs=1e-3)
 
 
+def test_the_prior_of_the_spread_between_trials_is_twice_their_own():
+    """Four trials of one subject, where that prior says much: one integral."""
+    y, s = np.array([0.1, 0.9, 2.2, 1.4]), np.full(4, 0.05)
+    groups = [tau**2 + s**2 for tau in 2 * (y - y.mean()).std() * halfnorm.ppf((np.arange(4000) + 0.5) / 4000)]
+    x = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    parts = [dense(np.array([0.0]), y, np.sqrt(variance), x, []) for variance in groups]
+    logs = np.array([each[0] for each in parts])
+    contrast = np.array([-1.0, 1.0])
+    exact = Mixture(
+        np.exp(logs - logsumexp(logs)),
+        np.array([contrast @ each[1] for each in parts]),
+        np.sqrt([contrast @ each[2] @ contrast for each in parts]),
+    )
+    found = pool(y, s, list("xxyy"), ["a"] * 4, ["1"] * 4).difference("x", "y")
+    assert found.mean == pytest.approx(exact.mean, abs=1e-6)
+    assert found.sd == pytest.approx(exact.sd, rel=0.02)
+    for share in (0.05, 0.95):
+        assert found.quantile(share) == pytest.approx(exact.quantile(share), abs=0.02 * exact.sd)
+
+
+def test_a_further_trial_has_the_spreads_of_all_groupings():
+    one = Pooled(
+        ("x",), np.ones(1), np.ones((1, 1)), np.full((1, 1, 1), 0.04), np.array([[0.3, 0.4]]), ("subject",), ""
+    )
+    assert one.new_trial("x").sd == pytest.approx(np.sqrt(0.04 + 0.09 + 0.16))
+
+
 def test_a_further_trial_is_less_sure_than_the_average():
     pooled = pool(ESTIMATES, ERRORS, CONDITION, SUBJECT, ONE)
     assert pooled.new_trial("x").sd > pooled.average("x").sd
@@ -127,6 +154,7 @@ def test_groupings_are_those_that_the_design_tells_apart(condition, subject, ses
         ("xxyy", "aaaa", "1212", ""),
         ("xxyyxx", "aabbcc", "111111", ""),  # two subjects of a condition tell by how much subjects differ
         ("xxxx", "aaaa", "1111", ""),
+        ("xxyy", "abab", "1122", ""),  # sessions of two subjects differ even if they share a name
     ],
 )
 def test_a_condition_of_one_subject_or_session_may_be_its_effect(condition, subject, session, what):

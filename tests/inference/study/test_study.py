@@ -10,10 +10,13 @@ import xarray as xr
 from invdyn.inference import infer, open_executor
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.study import run as run_module
+from invdyn.inference.study import work
+from invdyn.inference.study.averages import SETS
+from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.run import _fingerprint, _groups, run_study
 from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import NOT_SETTLED, fit_trial, parameters_of, said, share_session, words
+from invdyn.inference.study.work import NOT_SETTLED, fit_trial, infer_trial, parameters_of, said, share_session, words
 from invdyn.inputs import load_body
 from invdyn.models import SmoothAndRough
 from invdyn.recordings import InputError, read_sto
@@ -82,6 +85,29 @@ def test_a_session_shares_one_set_of_parameters(study, trials):
     noise = [float(parameters_of(fit)["emission.keypoint_scale"].log().mean()) for fit in alone]
     shared = float(parameters_of(one)["emission.keypoint_scale"].log().mean())
     assert min(noise) < shared < max(noise)
+
+
+def test_a_posterior_is_at_the_parameters_of_its_session(trials, monkeypatch):
+    """What the trial's own fit found is where its path begins; what its session does not explain is left out."""
+    fit = fit_trial(trials[0], HOW)
+    own = infer_trial(trials[0], HOW, fit, fit, 5)
+    other = {name: 3.0 * value if name.startswith("value ") else value for name, value in fit.items()}
+    assert torch.equal(infer_trial(trials[0], HOW, other, fit, 5)["torque"], own["torque"])
+    assert not torch.equal(infer_trial(trials[0], HOW, fit, fit, 6)["torque"], own["torque"])
+    # 8 draws kept of 64
+    assert (own["spread"] / own["torque"].double().std(0)).median().item() == pytest.approx(1.0, abs=0.2)
+    monkeypatch.setattr(work, "evidence_note", lambda idata: "too rough")
+    assert said(infer_trial(trials[0], HOW, fit, fit, 5))["left_out"] == "the evidence of laplace is too rough"
+    at = []
+
+    def unexplained(problem, path):
+        at.append(problem.model.parameters)
+        return ["it is off"]
+
+    monkeypatch.setattr(work, "unexplained", unexplained)
+    assert said(infer_trial(trials[0], HOW, fit, other, 5))["left_out"] == "at its session's parameters it is off"
+    for name, value in parameters_of(other).items():
+        assert at[0][name].numpy() == pytest.approx(value.numpy())
 
 
 def test_a_trial_without_evidence_keeps_no_session_from_sharing(trials):
@@ -247,6 +273,35 @@ def test_an_average_is_of_the_trials_that_have_the_joint():
     assert shoulder["mean"].to_numpy() == pytest.approx(
         expected.loc[expected["joint"] == "shoulder", "mean"].to_numpy()
     )
+
+
+def test_an_average_at_a_time_is_the_trials_pooled_there():
+    """Of trials whose clocks begin at other times: means and spreads .1 s after the event, pooled by themselves."""
+    parts = [made(i, begin=0.05 * i) for i in range(8)]
+    study, at = of_parts(parts), [0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
+    who = [("a", "1"), ("a", "1"), ("a", "2"), ("a", "2"), ("b", "1"), ("b", "1"), ("b", "1"), ("b", "2")]
+    labelled = [
+        replace(trial, subject=subject, session=session, events={"touch": when})
+        for trial, (subject, session), when in zip(study.trials, who, at, strict=True)
+    ]
+    averages = replace(study, trials=tuple(labelled)).averages("touch")
+    time = averages["time"].unique()[20]
+    numbers = np.array(
+        [
+            [np.interp(time + when, part["time"], part[name][:, 1]) for name in ("mean", "spread")]
+            for part, when in zip(parts, at, strict=True)
+        ]
+    )
+    condition = [trial.factors["condition"] for trial in labelled]
+    pooled = pool(*numbers.T, condition, *map(list, zip(*who, strict=True)), SETS)
+    own = averages[(averages["joint"] == "elbow") & (averages["time"] == time)].set_index("condition")
+    for level in "xy":
+        for column, mixture in (("", pooled.average(level)), ("trial_", pooled.new_trial(level))):
+            for name, share in (("q05", 0.05), ("q95", 0.95)):
+                assert own.loc[level, column + name] == pytest.approx(mixture.quantile(share), abs=1e-6)
+        assert own.loc[level, "mean"] == pytest.approx(pooled.average(level).mean, abs=1e-6)
+    begins = [part["time"][0].item() - when for part, when in zip(parts, at, strict=True)]
+    assert averages["time"].min() == pytest.approx(max(np.median(begins[k::2]) for k in (0, 1)))
 
 
 def test_what_is_in_doubt_is_said(tmp_path):
