@@ -274,6 +274,13 @@ def test_a_study_by_condition_aligned(browser, study, tmp_path, width):
     assert browser.get_log("browser") == []
 
 
+def test_a_study_s_bands_are_the_average_s_and_a_further_trial_s(study):
+    """Of the elbow under level 2, whose mean is two more than the time."""
+    side = view_of(study, "touch").panels[1]["sides"][1]
+    for name, more in (("low", -2), ("lower", -1), ("middle", 0), ("upper", 1), ("high", 2)):
+        np.testing.assert_allclose(side[name], np.linspace(-0.2, 0.3, 11) + 2 + more, atol=1e-3)
+
+
 def test_a_study_is_aligned_at_an_event_of_its_own(study):
     assert view_of(study).kicker.endswith("aligned at lift")
     with pytest.raises(InputError, match="expected --align with an event among lift, touch, got 'go'"):

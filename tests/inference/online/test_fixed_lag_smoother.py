@@ -92,10 +92,10 @@ def test_the_first_row_of_a_number_stands(chain, y):
     rows, partial = y.copy(), y.copy()
     rows[25] = np.where(np.isnan(y[25]), 0.3, y[25])
     partial[25] = np.where(np.arange(len(y[25])) == 0, np.nan, rows[25])
-    online = Online(chain.model(12), 6)
-    found = [each for t in range(26) for each in online.add(t, partial[t])]
-    online.add(25, np.where(np.arange(len(y[25])) == 0, rows[25], rows[25] + 5.0))
-    found += [each for t in range(26, ROWS) for each in online.add(t, y[t])]
+    smoother = FixedLagSmoother(chain.model(12), 6)
+    found = [each for t in range(26) for each in smoother.add(t, partial[t])]
+    smoother.add(25, np.where(np.arange(len(y[25])) == 0, rows[25], rows[25] + 5.0))
+    found += [each for t in range(26, ROWS) for each in smoother.add(t, y[t])]
     for each in found:
         means, covs = oracles.rts(chain, (partial if each.last == 25 else rows)[: each.last + 1])
         assert each.mean == pytest.approx(means[each.t], abs=1e-9)
