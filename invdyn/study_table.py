@@ -15,7 +15,6 @@ A folder stands for a table of its files, each folder in it a session.
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -55,7 +54,8 @@ class ManyTrials(Inference):
 def read_rows(given: Inference) -> list[dict[str, str]]:
     """Rows of the table, or of a folder's files. Raises InputError or OSError."""
     from invdyn.recordings import InputError
-    from invdyn.recordings.tables import read_rows as read_table_rows
+    from invdyn.recordings.errors import about
+    from invdyn.recordings.tables import check_once, header_and_rows
 
     if len(given.recordings) != 1:
         raise InputError(f"expected one table or folder, got {len(given.recordings)}")
@@ -67,9 +67,9 @@ def read_rows(given: Inference) -> list[dict[str, str]]:
         names = [file.relative_to(path) for file in files]
         own = zip(files, names, strict=True)
         return [{"recording": str(file), "trial": str(name), "session": str(name.parent)} for file, name in own]
-    (_, header), *lines = read_table_rows(path)
-    if twice := [name for name, count in Counter(header).items() if name and count > 1]:
-        raise InputError(f"{path}: expected columns of different names, got {twice[0]!r} twice")
+    header, lines = header_and_rows(path)
+    with about(path):
+        check_once(header, [name for name in header if name])
     rows = []
     for line, cells in lines:
         if any(cells[len(header) :]):
@@ -172,12 +172,12 @@ def _read(row: Mapping[str, str], given: Inference, body: "Body | None") -> tupl
 def _events(row: Mapping[str, str], recording: Any) -> dict[str, float]:
     """Times of events by the recording's clock, NaN where they did not happen."""
     from invdyn.recordings import InputError
-    from invdyn.recordings.tables import read_rows as read_table_rows
+    from invdyn.recordings.tables import header_and_rows
 
     times = {name.removeprefix(EVENT): _number(name, text) for name, text in row.items() if name.startswith(EVENT)}
     if row.get("events") and recording is not None:
-        header, *lines = (cells for _, cells in read_table_rows(row["events"]))
-        lines = [[*cells, *[""] * len(header)] for cells in lines]  # a line may end early
+        header, rows = header_and_rows(row["events"])
+        lines = [[*cells, *[""] * len(header)] for _, cells in rows]  # a line may end early
         if not {"event", "time"} <= {*header}:
             raise InputError(f"{row['events']}: expected columns event and time, got {', '.join(header)}")
         offset = _number("clock_offset", row.get("clock_offset") or "0")
@@ -192,9 +192,10 @@ def _events(row: Mapping[str, str], recording: Any) -> dict[str, float]:
 
 def _number(name: str, text: str) -> float:
     from invdyn.recordings import InputError
+    from invdyn.recordings.tables import number_of
 
     try:
-        value = float(text) if text else math.nan
+        value = number_of(text)
     except ValueError:
         value = math.inf
     if math.isinf(value):

@@ -75,7 +75,7 @@ def read_numbers(rows: Sequence[Row], columns: Sequence[str]) -> tuple[np.ndarra
 
     check_lengths(rows, columns)
     try:
-        numbers = np.array([[_number(cell) for cell in cells] for _, cells in rows])
+        numbers = np.array([[number_of(cell) for cell in cells] for _, cells in rows])
     except ValueError:
         numbers = np.array([np.inf])
     if np.isinf(numbers).any():  # again, cell by cell, for the place of the wrong one
@@ -136,7 +136,8 @@ def write_table(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
         writer.writerows([repr(v) if v == v else "" for v in row] for row in rows)
 
 
-def _number(cell: str) -> float:
+def number_of(cell: str) -> float:
+    """The number in a cell, NaN where it is empty. Raises ValueError for another text."""
     if "_" in cell:  # Python alone reads 1_5 as 15
         raise ValueError
     return float(cell) if cell else np.nan
@@ -144,7 +145,7 @@ def _number(cell: str) -> float:
 
 def _check_cell(cell: str, where: str) -> None:
     try:
-        value = _number(cell)
+        value = number_of(cell)
     except ValueError:
         raise InputError(f"{where}: {cell[:40]!r} is not a number; leave a missing value empty") from None
     if np.isinf(value):

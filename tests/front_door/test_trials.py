@@ -127,6 +127,8 @@ def test_a_row_may_have_a_person_of_its_own(tmp_path):
         ("file,session\nt0.csv,1\n", "expected a column recording"),
         ("recording\n", "one trial a row"),
         ("recording,event_touch\nt0.csv,soon\n", "expected a number, got 'soon'"),
+        ("recording,event_touch\nt0.csv,1_5\n", "expected a number, got '1_5'"),
+        ("recording;event_touch\nt0.csv;0.1\n", "separated by commas"),
         ("recording,subject,condition\nt0.csv,Doe, Jane,x\n", "line 2: expected 3 cells, got 4"),
         ("recording,condition,condition\nt0.csv,x,y\n", "'condition' twice"),
         ("recording,condition,factor_condition\nt0.csv,x,y\n", "one column of the condition"),
