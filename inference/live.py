@@ -64,6 +64,7 @@ class LiveArm:
         fps: rows/s; by default the calibration's.
         settings: parameters by dotted name that are known, as of :func:`invdyn.inference.infer`.
         hide_torque: ignore commands.
+        hours: per false alarm of a change, at least, in the mean.
 
     Raises InputError as :func:`invdyn.inference.infer` does, and for a lag or a rate that cannot be.
     """
@@ -77,6 +78,7 @@ class LiveArm:
         fps: float | None = None,
         settings: Mapping[str, object] | None = None,
         hide_torque: bool = False,
+        hours: float = 2.0,
         report: Callable[[int, int], None] | None = None,
     ):
         if isinstance(calibration, Filmed):
@@ -111,7 +113,7 @@ class LiveArm:
             with_inputs=(lambda own, inputs: own.commanded(inputs)) if commanded else None,
             at_start=about_pose,
         )
-        self.test = ChangeTest(self.fps)
+        self.test = ChangeTest(self.fps, hours)
         self.forget()
 
     def forget(self) -> None:

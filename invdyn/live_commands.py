@@ -50,7 +50,8 @@ def live(
 
     check_exist(str(calibration), *([] if source == "-" else [source]), body=body)
 
-    from invdyn.inference import ChangeTest, LiveArm
+    from invdyn.inference import LiveArm
+    from invdyn.inference.execution.progress import stage
     from invdyn.recordings import InputError
 
     from .console import check_ending, check_outputs
@@ -63,10 +64,8 @@ def live(
     arm = load_body(body)
     (reading,) = read_recordings([str(calibration)], arm, fps=fps)
     with ProgressBar() as bar:
-        following = LiveArm(
-            reading.recording, arm, lag=lag, hide_torque=hide_torque, report=lambda done, total: bar(done, total, "fit")
-        )
-    following.test = ChangeTest(following.fps, hours)
+        report = stage(bar, "fit")
+        following = LiveArm(reading.recording, arm, lag=lag, hide_torque=hide_torque, hours=hours, report=report)
     names = ["time", *following.columns, *following.commands]
     with (
         nullcontext(sys.stdin) if source == "-" else Path(source).open(encoding="utf-8", errors="replace") as lines,
