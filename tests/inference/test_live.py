@@ -6,7 +6,7 @@ import torch
 from scipy.stats import norm
 
 from invdyn.inference import LiveArm
-from invdyn.inference.live import QUANTILE
+from invdyn.inference.live import Z90
 from invdyn.inputs import load_body
 from invdyn.recordings import InputError
 from invdyn.simulate import random_arm, record
@@ -45,7 +45,7 @@ def test_bands_hold_the_torques(live, body):
     assert [each.time for each in answers] == pytest.approx(recording.time)
     mean, sd = (np.array([each.torque[k] for each in answers]) for k in (0, 1))
     off = np.abs(truth.torque - mean)
-    assert 0.8 < (off < QUANTILE * sd).mean() < 0.97
+    assert 0.8 < (off < Z90 * sd).mean() < 0.97
     assert np.sqrt((off**2).mean(0)) == pytest.approx(np.sqrt((sd**2).mean(0)), rel=0.3)
     angle, velocity = (np.array([getattr(each, name)[0] for each in answers]) for name in ("angle", "velocity"))
     assert np.abs(angle - truth.angle).max() < 0.03
@@ -67,7 +67,7 @@ def test_rows_lost_late_and_doubled_are_counted(live, body):
     counts = live.smoother.counts
     assert (counts.rows, counts.lost, counts.late, counts.doubled, counts.restarts) == (100, 3, 1, 1, 0)
     mean, sd = (np.array([each.torque[k] for each in answers]) for k in (0, 1))
-    assert (np.abs(truth.torque - mean) < QUANTILE * sd).mean() > 0.75
+    assert (np.abs(truth.torque - mean) < Z90 * sd).mean() > 0.75
     assert sd[51, 0] > 1.1 * sd[40, 0]  # nothing was seen there
 
 
