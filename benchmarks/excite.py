@@ -25,7 +25,8 @@ import torch
 from invdyn.diagnosis import design_motion
 from invdyn.diagnosis.excite.limits import MotionLimits
 from invdyn.diagnosis.regression.linear_effects import INERTIAL
-from invdyn.diagnosis.regression.regress import FRICTION, Estimated, regress
+from invdyn.diagnosis.regression.regress import FRICTION, regress
+from invdyn.diagnosis.regression.stated_numbers import Estimated
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.mjcf_writer import write_mjcf
 from invdyn.models.bodies.protocol import AXES
@@ -138,7 +139,7 @@ def added_share(number: Estimated) -> tuple[float, float]:
     changes = {f"mass of {last.name}": ADDED}
     changes |= {f"first moment {a} of {last.name}": ADDED * v for a, v in zip(AXES, c, strict=True)}
     changes |= {f"second moment {a} of {last.name}": ADDED * v for a, v in zip(NAMES, moments, strict=True)}
-    parts = {f"{number.parameter} of {number.place}": 1.0, **number.parts}
+    parts = {f"{number.parameter} of {number.place}": 1.0, **number.known_with}
     change = sum(factor * changes.get(name, 0.0) for name, factor in parts.items())
     return change, (number.value - number.of_file) / change if change else 0.0
 

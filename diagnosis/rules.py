@@ -400,6 +400,7 @@ class Fixed:
     regression_draws: int = number(64, "draws", "of a regression's numbers, for a file and its ensemble", "effort")
     equal_servo_gain: float = number(0.1, "log", "of servos' gains, that two regressions agree to", "stated")
     servo_gain_passes: int = number(4, "regressions", "about servos' gains, at most", "effort")
+    servo_gain_sd: float = number(1.0, "log", "of a servo's gain of which a log tells nothing", "stated")
     linear_servo_gain: float = number(
         0.7, "log", "of a servo's gain, that a regression about the file's takes", "stated"
     )

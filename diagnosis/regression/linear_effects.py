@@ -10,7 +10,8 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
 
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
 Servos' gains are near to what :mod:`.servo_gains` says; their own damping counts as the joint's. Rows at which such a
-servo reaches its limits say nothing.
+servo reaches its limits do not count. Gains and masses have a factor in common, which no torque tells: where gains are
+far from the file's, the links are the file's.
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
 
@@ -41,7 +42,7 @@ from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
 
-INERTIAL = "inertial_error"
+INERTIAL, GAIN = "inertial_error", "actuator_gain"
 JOINT_KINDS = {
     "viscous_friction": (("damping", "N·m·s/rad"),),
     "coulomb_friction": (("torque", "N·m"),),
@@ -57,7 +58,7 @@ FILED = {
     "joint_stiffness": "stiffness",
 }
 """Of numbers that are never negative, what a body's file says of each joint."""
-LEAST = {"actuator_gain": -0.9}
+LEAST = {GAIN: -0.9}
 """Of other numbers: what is commanded for a torque has its sign."""
 
 
@@ -108,10 +109,10 @@ def linear_effects(
 
     ``factor`` (K,) is how many times a servo makes too much of its target's distance.
     """
-    K, joints = motion.q.shape[1], body.joint_names
+    K, joints, factors = motion.q.shape[1], body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     sign, required = expected_sign(motion), required_by_file(dynamics, body, motion)
-    torque, parts = motion.demanded / factor, getattr(body, "joint_parts", ()) or [None] * K
-    usable = within_limits(body, torque - motion.servo_drag)
+    asked = motion.demanded / factor - motion.servo_drag
+    torque, parts = limited(body, asked) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * K
     needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
     whole = np.maximum(needed, given)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
@@ -134,7 +135,8 @@ def linear_effects(
                 moved = column[:, k] - middle[k] if name == "stiffness" else column[:, k]
                 values.append(here[0])
                 variance.append(here[1])
-                size.append(unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
+                found_first = kind == GAIN and factors[k] != 1.0
+                size.append(1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
                 filed = kind in FILED and (len(columns) == 1 or name == "stiffness")
                 own = parts[k] or NOTHING
                 own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
@@ -151,14 +153,14 @@ def linear_effects(
     free = np.ones(len(values), dtype=bool)
     if passive and len(links):
         free[-len(links) :] = _but_the_largest(links, np.concatenate([each.ravel() for each in own]))
-    if np.any(np.asarray(factor) != 1.0) and len(links):
-        free[-len(links) :] = False  # masses and gains have a factor in common, which the file's masses have to say
+    if (factors != 1.0).any() and len(links):
+        free[-len(links) :] = False
     labels += [(INERTIAL, link, name, of) for name, of in link_names(body, own) for link in body.link_names]
     kinds, places, names, units = zip(*labels, strict=True)
     return LinearEffects(
-        low_passed(bridged(torque - required, usable), motion, cutoff),
+        low_passed(torque - required, motion, cutoff),
         low_passed(motion.torque + motion.servo_drag - required, motion, cutoff),
-        usable,
+        torque == asked + motion.servo_drag,
         low_passed(np.array(values), motion, cutoff),
         np.array(variance),
         kinds,
@@ -173,6 +175,11 @@ def linear_effects(
     )
 
 
+def joints_of(effects: LinearEffects) -> list[str]:
+    """Names of the K joints."""
+    return [place for kind, place in zip(effects.kinds, effects.places, strict=True) if kind == "viscous_friction"]
+
+
 def expected_sign(motion: MeasuredMotion) -> np.ndarray:
     """E[sgn q̇] (R, K)."""
     return np.asarray(erf(motion.qd / (np.sqrt(2) * np.maximum(motion.qd_sd, 1e-300))))
@@ -184,21 +191,12 @@ def required_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> n
     return inverse(dynamics, body.parameters(), motion) + np.stack(joints, -1) + motion.servo_drag
 
 
-def within_limits(body: Any, torque: np.ndarray) -> np.ndarray:
-    """Whether servos give the ``torque`` (R, K) that they ask for; true of all other joints."""
-    inside = np.ones(torque.shape, dtype=bool)
-    for k, parts in enumerate(getattr(body, "joint_parts", ())):
-        if parts is not None and parts.servo is not None:
-            inside[:, k] = (torque[:, k] > parts.servo.low) & (torque[:, k] < parts.servo.high)
-    return inside
-
-
-def bridged(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Values (R, K) with straight lines over rows that are not ``usable`` (R, K): a filter would spread these."""
-    rows, found = np.arange(len(values)), values.copy()
-    for k in np.flatnonzero(~usable.all(0) & usable.any(0)):
-        found[:, k] = np.interp(rows, rows[usable[:, k]], values[usable[:, k], k])
-    return found
+def limited(body: Any, torque: np.ndarray) -> np.ndarray:
+    """What servos give of the ``torque`` (R, K) that they ask for; of other joints all of it."""
+    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
+    servos = [None if parts is None else parts.servo for parts in every]
+    limits = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]
+    return np.asarray(torque.clip(*np.transpose(limits)))
 
 
 def _but_the_largest(links: np.ndarray, own: np.ndarray) -> np.ndarray:

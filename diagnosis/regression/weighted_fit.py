@@ -54,7 +54,7 @@ def weighted_fit(
     for p in np.flatnonzero(moving):
         places = kinds.setdefault(effects.kinds[p], {})
         places[effects.places[p]] = (*places.get(effects.places[p], ()), int(p))
-    moves = _moves(motion, rules) * effects.usable
+    moves = _moves(motion, rules, effects.usable)
     weights, noise = moves, np.sqrt((effects.missing**2).mean(0)) + 1e-300
     columns = np.flatnonzero(moving)
     prior = 1 / effects.size[columns] ** 2
@@ -77,10 +77,10 @@ def weighted_fit(
     return Fitted(chosen, covariance, freedom, weights)
 
 
-def _moves(motion: MeasuredMotion, rules: Rules) -> np.ndarray:
-    """(R, K): 1 where a joint turns, 0 where it may stick; 1 everywhere for one that hardly ever turns."""
+def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:
+    """(R, K): 1 in ``usable`` rows in which a joint turns, where it cannot stick; 1 everywhere where there are few."""
     speed = np.sqrt((motion.qd**2).mean(0))
-    moves = np.abs(motion.qd) > np.maximum(rules.check.slow_velocity * speed, 2 * motion.qd_sd)
+    moves = usable & (np.abs(motion.qd) > np.maximum(rules.check.slow_velocity * speed, 2 * motion.qd_sd))
     return np.where(moves.mean(0) > FIXED.min_moving_share, moves, True).astype(float)
 
 

@@ -9,11 +9,14 @@ import torch
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
-from invdyn.diagnosis.regression.linear_effects import required_by_file
+from invdyn.diagnosis.regression.linear_effects import cutoff_of, linear_effects, required_by_file
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
-from invdyn.diagnosis.regression.servo_gains import servo_gains
+from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
+from invdyn.diagnosis.regression.stated_numbers import drawn, of_joints
+from invdyn.diagnosis.regression.weighted_fit import weighted_fit
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.registry import dynamics_for
@@ -337,3 +340,34 @@ def test_a_servos_gain_at_a_hinge_that_no_gravity_loads(times):
     assert (
         servo_gains(measured_motion(rows, body, passive=True), seen.q, body).factor == 1.0
     )  # no torque: nothing to say
+
+
+def test_a_servo_that_cannot_have_moved_the_arm_explains_nothing():
+    """A third of the rows ask for more than its limit; there it gives that, whatever is fitted to the others."""
+    rows, body = servo_log(20, 1.0)
+    assert regress(rows, body).torque.share > 0.95
+    links = [
+        replace(link, parts=replace(link.parts, motor=replace(link.parts.motor, low=-2.0, high=2.0)))
+        for link in body.links
+    ]
+    assert regress(rows, replace(body, links=tuple(links))).torque.share < 0.1
+
+
+def test_numbers_in_the_torque_of_a_servo_of_unknown_gain_are_as_unsure_as_that():
+    """Without the gain among the columns, an sd of one of its logarithm goes into all of the joint, by one factor."""
+    rows, body = servo_log(20, 40.0)
+    motion, dynamics = measured_motion(rows, body), dynamics_for(body)
+    far = ServoGains(np.array([40.0, 40.0]))
+    effects = linear_effects(dynamics, body, motion, False, DEFAULT, cutoff_of(motion), far.factor)
+    fit = weighted_fit(effects, motion, DEFAULT, ("viscous_friction", "coulomb_friction"))
+    numbers = {(each.effect, each.place): each for each in of_joints(effects, fit, far)}
+    gain = numbers["actuator_gain", "elbow"]
+    assert 1 + gain.value == pytest.approx(1 / 40)
+    assert gain.sd == pytest.approx(1 + gain.value)
+    draws = drawn(effects, fit, far)
+    log = np.log([1 + each["actuator_gain", "elbow", "gain"] for each in draws]) + np.log(40.0)
+    assert log.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(log)))
+    moved = np.array([each["coulomb_friction", "elbow", "torque"] for each in draws])
+    large = numbers["coulomb_friction", "elbow"].value
+    assert large > 0
+    np.testing.assert_allclose(moved / large, np.exp(log), rtol=0.1)

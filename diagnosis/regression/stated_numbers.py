@@ -1,0 +1,181 @@
+"""What a regression states, in the robot's own numbers and with their doubt.
+
+A fit has coefficients β of columns in torques as they were commanded. A motor that gives τ where τ (1 + g) is commanded
+has ε = 1/(1 + g) − 1; all other numbers of its joint are β/(1 + g). With γ that was found first (:mod:`.servo_gains`)
+
+    1 + ε = 1/(γ (1 + g))
+
+Where the motion of a joint does not tell g, all that is known in its servo's torque is as unsure as the gain, and by
+the same factor: log-normal, with sd `servo_gain_sd`. Links move by base parameters, sums of numbers of several links.
+
+Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from invdyn.diagnosis.regression.grouped_evidence import Chosen
+from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LinearEffects, joints_of
+from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
+from invdyn.diagnosis.regression.servo_gains import ServoGains
+from invdyn.diagnosis.regression.weighted_fit import Fitted, left_by
+from invdyn.diagnosis.rules import FIXED
+
+Numbers = dict[tuple[str, str, str], float]
+"""By effect, place and parameter."""
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A number: `parameter` of an effect at a place, with its 90 % interval; `of_file` is what the file has of it.
+
+    ``known_with`` are further numbers that are known with it alone, name → factor (:func:`.regressors.base_columns`).
+    """
+
+    effect: str
+    place: str
+    parameter: str
+    value: float
+    sd: float
+    interval_90: tuple[float, float]
+    unit: str
+    of_file: float = 0.0
+    known_with: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it."""
+
+    effect: str
+    places: tuple[str, ...]
+    everywhere: bool
+    gain_nats: float
+
+
+def stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, memory: float) -> tuple[Stated, ...]:
+    """What was chosen, and gains that are far from the file's; of ``memory`` rows one counts."""
+    found = {s.kind: (tuple(s.columns), gain) for s, gain in zip(fit.chosen.statements, fit.chosen.gain, strict=True)}
+    if servos.changed.any():
+        places, gain = found.pop(GAIN, ((), 0.0))
+        every = [name for name, new in zip(joints_of(effects), servos.changed, strict=True) if new or name in places]
+        before, after = (np.sqrt((each**2).mean(0)) for each in (effects.of_file, left_by(effects, fit.chosen)))
+        gain += len(effects.missing) / memory * float(np.log(before / after)[servos.changed].sum())
+        found = {GAIN: (tuple(every), gain), **found}
+    return tuple(
+        Stated(kind, places, len(places) == _places(effects, kind), gain) for kind, (places, gain) in found.items()
+    )
+
+
+def named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> Numbers:
+    """Numbers by effect, place and parameter; a gain is the motor's."""
+    names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
+    found = dict(zip(names, chosen.values.tolist(), strict=True))
+    factors = {place: 1 + value for (kind, place, _), value in found.items() if kind == GAIN}
+    for key, p in zip(names, chosen.columns, strict=True):
+        if key[0] not in (INERTIAL, GAIN):
+            found[key] = max(found[key] / factors.get(key[1], 1.0), float(effects.least[p]))
+    for place, factor, new in zip(joints_of(effects), servos.factor.tolist(), servos.changed, strict=True):
+        if new or place in factors:
+            found[GAIN, place, "gain"] = 1 / (factor * factors.get(place, 1.0)) - 1
+    return found
+
+
+def drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[Numbers, ...]:
+    """Numbers of draws from the Gaussian of the coefficients, always the same."""
+    if not fit.chosen.columns:
+        return ()
+    rng = np.random.default_rng(0)
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), np.finfo(float).tiny))
+    alike = fit.covariance / sd[:, None] / sd
+    # columns that say nearly the same have eigenvalues that are below zero by rounding
+    values = sd * rng.multivariate_normal(
+        np.zeros(len(sd)), alike, FIXED.regression_draws, check_valid="ignore", method="eigh"
+    )
+    floor = effects.least[list(fit.chosen.columns)]
+    sets = (replace(fit.chosen, values=np.maximum(fit.chosen.values + each, floor)) for each in values)
+    every = [named(effects, each, servos) for each in sets]
+    for place in sorted(_without_scale(effects, fit.chosen, servos)):
+        factors = np.exp(FIXED.servo_gain_sd * rng.standard_normal(len(every)))
+        every = [_scaled(each, place, factor) for each, factor in zip(every, factors.tolist(), strict=True)]
+    return tuple(every)
+
+
+def _without_scale(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> set[str]:
+    """Joints whose servo has another gain, of which the fit knows nothing."""
+    known = {effects.places[p] for p in chosen.columns if effects.kinds[p] == GAIN}
+    return {place for place, new in zip(joints_of(effects), servos.changed, strict=True) if new} - known
+
+
+def _scaled(numbers: Numbers, place: str, factor: float) -> Numbers:
+    """Numbers whose joint has a servo with so many times the gain; what is less than the file's stays above nothing."""
+    mine = {key: value for key, value in numbers.items() if key[1] == place and key[0] not in (INERTIAL, GAIN)}
+    own = {key: value * (factor if value > 0 else min(factor, 1.0)) for key, value in mine.items()}
+    gain = (GAIN, place, "gain")
+    return numbers | own | {gain: (1 + numbers[gain]) * factor - 1}
+
+
+def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
+    """Numbers of effects at joints."""
+    values, unsure = named(effects, fit.chosen, servos), _without_scale(effects, fit.chosen, servos)
+    sds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
+    own = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
+    sd_of = dict(zip(own, sds, strict=True))
+    fitted = dict(zip(own, fit.chosen.values.tolist(), strict=True))
+    found = []
+    for (kind, place, name), value in values.items():
+        if kind == INERTIAL:
+            continue
+        sd = sd_of.get((kind, place, name), 0.0) / (1 + fitted.get((GAIN, place, "gain"), 0.0))
+        sd *= 1 + value if kind == GAIN else 1.0
+        if place in unsure:
+            sd = np.hypot(sd, FIXED.servo_gain_sd * (1 + value if kind == GAIN else value))
+        p = own.get((kind, place, name))
+        filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
+        unit = "1" if p is None else effects.units[p]
+        sd, interval = _estimate(value, float(sd), fit.freedom)
+        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed))
+    return found
+
+
+def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
+    """Base parameters of links that were found to be otherwise, in whole: what the file has, and what is missing."""
+    chosen = fit.chosen
+    mine = [n for n, p in enumerate(chosen.columns) if effects.kinds[p] == INERTIAL]
+    if not mine:
+        return []
+    columns = [chosen.columns[n] for n in mine]
+    noise = np.sqrt(fit.weights) / chosen.noise
+    rows = (effects.values[columns] * noise).reshape(len(columns), -1).T
+    base, rest, factors = base_columns(rows)
+    own = np.concatenate([each.ravel() for each in nominal_link_numbers(body)])
+    offset = effects.kinds.index(INERTIAL)  # links' columns come last
+    named = [f"{effects.names[p]} of {effects.places[p]}" for p in columns]
+    found = []
+    for i, b in enumerate(base):
+        combination = np.zeros(len(columns))
+        combination[b] = 1.0
+        combination[rest] = factors[i]
+        whole = np.zeros(len(chosen.columns))
+        whole[mine] = combination
+        nominal = float(combination @ own[[p - offset for p in columns]])
+        value = nominal + float(whole @ chosen.values)
+        sd, interval = _estimate(value, float(np.sqrt(max(whole @ fit.covariance @ whole, 0.0))), fit.freedom)
+        parts = {named[j]: float(combination[j]) for j in rest if abs(combination[j]) > 1e-9}
+        p = columns[b]
+        name, place, unit = effects.names[p], effects.places[p], effects.units[p]
+        found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts))
+    return found
+
+
+def _estimate(value: float, sd: float, freedom: int) -> tuple[float, tuple[float, float]]:
+    half = float(student_t.ppf(0.95, freedom)) * sd
+    return sd, (value - half, value + half)
+
+
+def _places(effects: LinearEffects, kind: str) -> int:
+    return len({place for own, place in zip(effects.kinds, effects.places, strict=True) if own == kind})
