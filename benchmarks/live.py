@@ -24,7 +24,7 @@ from trees import panda
 
 from invdyn.inference.live import Z90, LiveArm
 from invdyn.inputs import load_body
-from invdyn.models.effects.viscous_friction import ViscousFriction
+from invdyn.models.effects.friction import ViscousFriction
 from invdyn.simulate import random_arm, record
 
 SHARE = 0.3

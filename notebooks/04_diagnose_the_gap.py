@@ -273,7 +273,7 @@ print(f"truth: {BELT}; share of the gap closed: {explained.shrinkage.gap_closed:
 # %% [markdown]
 # `CATALOGUE` itself does not change. In place of the class, a `CatalogueEntry` may say more than a diagnosis needs to
 # find it: its phrase in the report, its twins and special cases, which values are credible. An effect that is to stay
-# becomes a file in `models/effects/` and an entry in `diagnosis/catalogue/`. CONTRIBUTING.md says what else it needs.
+# becomes a class in `models/effects/` and an entry in `diagnosis/catalogue/`. CONTRIBUTING.md says what else it needs.
 #
 # Three things to keep in mind with recordings of your own:
 #

@@ -1,12 +1,8 @@
 """What a camera makes of the picture, and when."""
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Variant
+from invdyn.models.effects.camera import CameraRoll, CameraScale, CameraYaw, LensDistortion, RollingShutter
 from invdyn.models.effects.camera_latency import CameraLatency
-from invdyn.models.effects.camera_roll import CameraRoll
-from invdyn.models.effects.camera_scale import CameraScale
-from invdyn.models.effects.camera_yaw import CameraYaw
-from invdyn.models.effects.lens_distortion import LensDistortion
-from invdyn.models.effects.rolling_shutter import RollingShutter
 
 CENTRE = (
     Variant(

@@ -7,8 +7,7 @@ from torch import Tensor
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
 from invdyn.models.effects.base import Effect, Values
-from invdyn.models.effects.base_motion import BaseMotion
-from invdyn.models.effects.external_push import SHORTEST, ExternalPush
+from invdyn.models.effects.disturbances import SHORTEST, BaseMotion, ExternalPush
 from invdyn.models.shapes import join
 
 

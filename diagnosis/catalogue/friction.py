@@ -3,13 +3,15 @@
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.base import Effect, Scale
-from invdyn.models.effects.coulomb_friction import CoulombFriction
-from invdyn.models.effects.drifting_friction import DriftingFriction
-from invdyn.models.effects.load_friction import LoadFriction
-from invdyn.models.effects.quadratic_drag import QuadraticDrag
+from invdyn.models.effects.friction import (
+    CoulombFriction,
+    DriftingFriction,
+    LoadFriction,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
 from invdyn.models.effects.regularised_friction import CREEP, SETTLING
-from invdyn.models.effects.stribeck_friction import StribeckFriction
-from invdyn.models.effects.viscous_friction import ViscousFriction
 
 CREEPS = "regularised, it takes a moment to bring the joint to rest and lets it creep"
 SHORT = {"settling": SETTLING / 2, "creep": CREEP / 2}

@@ -4,12 +4,10 @@ import torch
 
 from invdyn.diagnosis.catalogue import period_equivalents
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers
-from invdyn.models.effects.armature import Armature
 from invdyn.models.effects.base import Effect, Scale
 from invdyn.models.effects.gravity_tilt import GravityTilt
-from invdyn.models.effects.inertial_error import InertialError
+from invdyn.models.effects.inertia import Armature, InertialError, Payload
 from invdyn.models.effects.inertias import inertia_of, point_of
-from invdyn.models.effects.payload import Payload
 
 
 def same_load(mine: Effect, payload: Effect, values: Numbers, scale: Scale) -> list[Numbers]:

@@ -10,11 +10,9 @@ from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import STOPS, Effect, Scale, Values
-from invdyn.models.effects.joint_coupling import JointCoupling
 from invdyn.models.effects.joint_limit import JointLimit
-from invdyn.models.effects.joint_stiffness import JointStiffness
+from invdyn.models.effects.joints import JointCoupling, JointStiffness, TorqueRipple
 from invdyn.models.effects.link_flexibility import HALF, LinkFlexibility
-from invdyn.models.effects.torque_ripple import TorqueRipple
 
 Shown = dict[str, tuple[Tensor, str]]
 

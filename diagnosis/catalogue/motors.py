@@ -1,11 +1,8 @@
 """What motors make of a command."""
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
-from invdyn.models.effects.actuator_deadzone import ActuatorDeadzone
-from invdyn.models.effects.actuator_delay import ActuatorDelay
 from invdyn.models.effects.actuator_gain import ActuatorGain
-from invdyn.models.effects.actuator_lag import ActuatorLag
-from invdyn.models.effects.actuator_saturation import ActuatorSaturation
+from invdyn.models.effects.motors import ActuatorDeadzone, ActuatorDelay, ActuatorLag, ActuatorSaturation
 
 ENTRIES = (
     CatalogueEntry(

@@ -25,7 +25,7 @@ from torch import Tensor
 from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import Composition
-from invdyn.models.effects.inertial_error import LEAST
+from invdyn.models.effects.inertia import LEAST
 
 
 def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) -> float:

@@ -6,13 +6,9 @@ from invdyn.diagnosis.catalogue import period_equivalents
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.base import Effect, Scale
-from invdyn.models.effects.clock_rate import ClockRate
 from invdyn.models.effects.encoder_offset import EncoderOffset
-from invdyn.models.effects.keypoint_offset import KeypointOffset
-from invdyn.models.effects.label_swap import LabelSwap
-from invdyn.models.effects.outliers import Outliers
+from invdyn.models.effects.sensors import ClockRate, KeypointOffset, LabelSwap, Outliers, TimestampJitter
 from invdyn.models.effects.soft_tissue import DAMPING_RATIOS, SoftTissue
-from invdyn.models.effects.timestamp_jitter import TimestampJitter
 from invdyn.models.effects.varying_noise import VaryingNoise
 
 

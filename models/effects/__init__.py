@@ -1,4 +1,4 @@
-"""What a real arm has and an ideal rigid body lacks, one effect a file; all of them in :mod:`.catalogue`."""
+"""What a real arm has and an ideal rigid body lacks, one effect a class; all of them in :mod:`.catalogue`."""
 
 from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import PREFIX, Effect, effect_name
@@ -10,7 +10,7 @@ from invdyn.models.effects.parameter import Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.view import View
 
-# Last: it imports each effect's file, which may itself import from here what stands above.
+# Last: it imports the effects' files, which may itself import from here what stands above.
 from invdyn.models.effects.catalogue import EFFECTS  # isort: skip
 
 _CLASSES = {kind.__name__: kind for kind in EFFECTS.values()}

@@ -19,8 +19,7 @@ from invdyn.diagnosis.problem.prior import (
 )
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.diagnosis.sensitivity.evidence import learned
-from invdyn.models.effects.coulomb_friction import CoulombFriction
-from invdyn.models.effects.viscous_friction import ViscousFriction
+from invdyn.models.effects.friction import CoulombFriction, ViscousFriction
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, 40.0, 3000.0])

@@ -11,8 +11,7 @@ from invdyn.models import ArmModel, Body, Link, planar_body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.effects.actuator_gain import ActuatorGain
-from invdyn.models.effects.load_friction import LoadFriction
-from invdyn.models.effects.viscous_friction import ViscousFriction
+from invdyn.models.effects.friction import LoadFriction, ViscousFriction
 
 TEXT = """<mujoco><compiler angle="radian"/><option timestep="0.0002" gravity="0 0 -9.81" integrator="RK4"/>
 <worldbody><body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 {way} 0" {shoulder}/>

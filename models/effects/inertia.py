@@ -1,15 +1,76 @@
-"""A link that is not as its body file says: m + Δm, com + Δcom, I + ΔI."""
+"""What links and rotors weigh, other than the file says: one effect a class.
+
+armature        the inertia of a geared motor's rotor at its joint: I_a θ̈
+payload         a point mass m at the tip t: the inertia about the joint is I + m t²
+inertial_error  a link that is not as its body file says: m + Δm, com + Δcom, I + ΔI
+"""
 
 from collections.abc import Sequence
 from typing import Any, Self
 
 import torch
-from pyro.distributions import Normal, StudentT
+from pyro.distributions import HalfNormal, Normal, StudentT
+from torch import Tensor
+from torch.nn.functional import one_hot
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
-from invdyn.models.effects.base import Effect, Parameter, Scale, Values
-from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, size_of, with_inertia
+from invdyn.models.effects.base import Effect, Parameter, Scale, Values, change
+from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, point_of, size_of, with_inertia
 from invdyn.models.shapes import join
+
+
+class Armature(Effect):
+    """Inertia on the diagonal of the mass matrix, without weight. As ``armature`` in MuJoCo.
+
+    Statics distinguish it from a payload, the frequency from stiffness.
+    """
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Inertia I_a behind the gear, kg·m²."""
+        j = self.place[0]
+        return (change("inertia", "kg·m²", 0.4 * scale.inertia[j], scale.filed("armature", j)),)
+
+    def inertia(self, p: Values, joints: int) -> Tensor:
+        """I_a at the joint."""
+        return p["inertia"] * one_hot(torch.tensor(self.place[0]), joints).to(p["inertia"])
+
+
+LOAD_SHARE, MIN_LOAD_SHARE = 0.5, 0.05
+"""Prior width of its mass: of the link that carries it, and of the whole body at least."""
+
+
+class Payload(Effect):
+    """A mass m carried at the tip: that link's mass, centre of mass and inertia change together.
+
+    The tip is the body's own (`hand`): the last link's, or of a gripper's fingers what they hang on. Two
+    postures and two speeds distinguish it from an error of the link's inertial parameters.
+    """
+
+    site = "arm"
+
+    @classmethod
+    def fits(cls, body: ArticulatedBody) -> bool:
+        """Whether the body has one tip."""
+        return has_inertias(body) and body.hand is not None
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        assert body.hand is not None  # it fits
+        other.place = body.hand
+        return other
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Mass m, kg."""
+        mass = scale.body.mass
+        width = max(LOAD_SHARE * mass[self.place[0]].item(), MIN_LOAD_SHARE * mass.sum().item())
+        return (Parameter("mass", "kg", HalfNormal(width)),)
+
+    def body(self, p: Values, body: Any) -> Any:
+        """The link with the load."""
+        link, site = self.place
+        own = inertia_of(body, link).loaded(p["mass"], point_of(body, link, site))
+        return with_inertia(body, link, own)
+
 
 LEAST = 0.02
 """Of the file's mass and inertia that is always left."""
