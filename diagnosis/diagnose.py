@@ -24,6 +24,7 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
+from invdyn.diagnosis.assessment.regression_alone import by_force, by_regression_alone
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, plain
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
@@ -194,6 +195,11 @@ def diagnose(
         write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")
     if said is not None and interim is not None:
         interim(said)
+    if robot and said is not None and said.far_gains:
+        alone = by_regression_alone(said, bound, seed, passive, refused)
+        if alone is not None:
+            report(5, "done")
+            return alone
     report(1, "screen and refine")
     found = _searched(bound, without, workers, start_of(said if robot else None, bound, passive))
     bound = found.problem
@@ -249,8 +255,7 @@ def diagnose(
     if (unused := left_out(_each(recording), rules)) is not None:
         result = replace(result, method=result.method | {LEFT_OUT: unused})
     if refused:
-        words = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
-        result = replace(result, method=result.method | {REFUSED: words})
+        result = replace(result, method=result.method | {REFUSED: by_force(refused)})
     report(5, "done")
     return result
 

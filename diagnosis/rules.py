@@ -455,6 +455,29 @@ class Fixed:
     replay_runs_away: float = number(1.0, "rad", "rms, from which on a replay without restarts says nothing", "chosen")
     max_replay_angle: float = number(1e4, "rad", "beyond which a replay has run away", "chosen")
     min_replay_rows: int = number(13, "rows", "with all angles", "chosen")
+    # -- the output-error fit of a file's numbers
+    refine_window: float = number(8.0, "s", "of a replay", "chosen: a servo settles within one")
+    max_refine_windows: int = number(24, "windows", "a third of them held out", "effort")
+    refine_first: int = number(3, "windows", "of which one is in the first fit", "effort")
+    refine_rounds: int = number(10, "rounds", "of Gauss–Newton", "effort: SO-101 needs 6 to 10")
+    refine_gain: float = number(3.0, "nats", "of a round, below which the fit ends", "stated")
+    refine_steps: tuple[float, ...] = number((0.0, 0.01, 0.1, 1.0, 10.0), "1", "dampings of a round's step", "chosen")
+    refine_slope: float = number(0.01, "1", "step of a slope, in logarithms and prior sds", "chosen")
+    refine_floor: float = number(0.02, "of the motion", "error of a replay, below which less does not count", "chosen")
+    refine_memory: float = number(0.5, "s", "for which a replay's errors are alike", "chosen")
+    start_gains: tuple[float, ...] = number(
+        (1.0, 0.3, 0.1, 0.03, 0.01), "1", "times a file's gain, that a fit may start from", "chosen"
+    )
+    friction_sd: float = number(1.5, "log", "of a friction's number, about the regression's", "stated")
+    armature_sd: float = number(1.0, "log", "of an armature, about the regression's", "stated")
+    impedance_sd: float = number(3.0, "log", "of 1 − d, the softness of a file's dry friction", "stated")
+    min_friction_impedance: float = number(0.5, "1", "of dry friction", "chosen: MuJoCo's own is .9")
+    same_number: float = number(1e-3, "of it", "by which a file's number is no other", "chosen")
+    least_number: float = number(0.01, "of the load", "that a friction or rotor starts from at least", "chosen")
+    ensemble_scales: tuple[float, ...] = number(
+        (1.0, 2.0, 4.0, 8.0, 16.0), "1", "on an ensemble's spread, until its bands hold", "chosen"
+    )
+    ensemble_coverage: float = number(0.9, "of the rows", "held out, that an ensemble's band holds", "stated")
     extra_samples: int = number(2, "samples", "that an actuator with a delay remembers besides", "MuJoCo")
     # -- the report
     num_shown: int = number(5, "causes", "in full view", "stated")

@@ -269,16 +269,32 @@ def diagnose(
             checkpoint=given.checkpoint,
             interim=lambda found: say(interim(found)),
         )
+    refined = None
+    if write_back is not None or ensemble is not None:
+        from invdyn.diagnosis.write_back.output_error import refine
+
+        recordings = arguments["recording"]
+        every = recordings if isinstance(recordings, list) else [recordings]
+        with ProgressBar() as progress:
+            refined = refine(
+                diagnosis,
+                str(given.body),
+                arguments["body"],
+                every,
+                **({} if ensemble is None else {"draws": ensemble[0]}),
+                workers=arguments["workers"],
+                progress=progress,
+            )
     with new_folder(out), whole_set():
         if write_back is not None:
             held_out, recordings = arguments["held_out"], arguments["recording"]
             shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
             diagnosis = corrected(
-                diagnosis, str(given.body), arguments["body"], write_back, shown, held_out is not None
+                diagnosis, str(given.body), arguments["body"], write_back, shown, held_out is not None, refined
             )
         if ensemble is not None and copies is not None:
             with new_folder(copies):
-                write_ensemble(diagnosis, str(given.body), arguments["body"], copies, ensemble[0])
+                write_ensemble(diagnosis, str(given.body), arguments["body"], copies, ensemble[0], refined)
         save(diagnosis, out, workers=arguments["workers"])
     say(verdict(diagnosis))
     for sentence in details(diagnosis):

@@ -28,6 +28,7 @@ LEFT_OUT = "left out"
 REFUSED = "refused"
 """Key of `Diagnosis.method`: mistakes of the recording that were gone past, by force."""
 STEPS = "steps"
+NO_SEARCH = "search"
 """Key of `Diagnosis.method`: that a recording is as of the file's own engine."""
 
 
@@ -77,6 +78,7 @@ class Written:
         unsaid: what the file cannot say, or was not written: words → why.
         nothing: why there was nothing to write; None where there is a file.
         rollout: what MuJoCo itself is off by with the file and with the copy; None where it does not read such files.
+        refined: of an output-error fit, what replays of held-out windows are off by; None where none was made.
     """
 
     file: str
@@ -84,6 +86,7 @@ class Written:
     unsaid: dict[str, str]
     nothing: str | None = None
     rollout: dict | None = None
+    refined: dict | None = None
 
 
 @dataclass(frozen=True)

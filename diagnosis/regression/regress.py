@@ -61,7 +61,8 @@ class Regression:
     """What a regression says: effects, their numbers, and how much of the missing torque they explain.
 
     `joints` are the names of K. `coefficients` are all numbers, of links that move as one each by itself, and `draws`
-    are from their Gaussian, always of the same seed. `torque` is of the held-out rows that `unseen` has, and so is
+    are from their Gaussian, always of the same seed. `far_gains` are of servos by joint, times the file's: no
+    search about the file's numbers comes to them. `torque` is of the held-out rows that `unseen` has, and so is
     `plain`, of viscous and Coulomb friction at all joints alone.
     """
 
@@ -74,6 +75,7 @@ class Regression:
     coefficients: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
     unseen: Unseen | None = field(default=None, repr=False, compare=False)
     draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(default=(), repr=False, compare=False)
+    far_gains: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
@@ -148,6 +150,7 @@ def regress(
         named(whole, fit.chosen, gains),
         there,
         drawn(whole, fit, gains),
+        {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
     )
 
 

@@ -1,5 +1,7 @@
 """Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
 
+import math
+
 from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
 from invdyn.diagnosis.report.numbers import changed, handies, handy
 from invdyn.diagnosis.report.words import finding_words, place_words
@@ -68,6 +70,8 @@ def written(copy: Written) -> list[str]:
     else:
         found = [f"{copy.file} is a plain copy of the simulation: nothing in it is changed."]
     found += [f"Not in it is {words}: {why}." for words, why in copy.unsaid.items()]
+    if copy.refined is not None:
+        found.append(_refined(copy.refined))
     if (tried := copy.rollout) is not None:
         total, on = tried["total_rms_rad"], "a withheld recording" if tried["held_out"] else "the same recording"
         before, after = handies("rad", total["before"], total["after"])
@@ -81,6 +85,17 @@ def written(copy: Written) -> list[str]:
         if what and total["after"] >= total["before"]:
             found.append("The corrected file is no nearer to the recording: keep the original.")
     return found
+
+
+def _refined(fit: dict) -> str:
+    """What replays of held-out windows are off by, in the mean square of joints."""
+    by_joint = fit["held_out_rms_rad"]
+    off = {who: math.sqrt(sum(x**2 for x in each.values()) / len(each)) for who, each in by_joint.items()}
+    refined, regression, filed = handies("rad", off["refined"], off["regression"], off["file"])
+    return (
+        f"Its numbers are fitted to MuJoCo's replays of the logs. In held-out windows of {fit['window_s']:g} s the "
+        f"angles are off by {refined} rms, by {regression} with the regression's numbers, by {filed} with the original."
+    )
 
 
 def _whole(total: dict[str, float | None]) -> str:

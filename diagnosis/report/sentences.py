@@ -1,7 +1,17 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION
-from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, STEPS, Cause, Diagnosis, Finding, Where, named
+from invdyn.diagnosis.assessment.result import (
+    LEFT_OUT,
+    NO_SEARCH,
+    REFUSED,
+    STEPS,
+    Cause,
+    Diagnosis,
+    Finding,
+    Where,
+    named,
+)
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
@@ -254,7 +264,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    found += [f"{text}." for key in (REFUSED, LEFT_OUT, STEPS) if (text := diagnosis.method.get(key))]
+    found += [f"{text}." for key in (REFUSED, NO_SEARCH, LEFT_OUT, STEPS) if (text := diagnosis.method.get(key))]
     if count := diagnosis.not_looked_at:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "

@@ -6,6 +6,7 @@ An effect adds to what the file has: from b to b + Δb. Of the whole cause, mean
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import torch
 
@@ -20,6 +21,8 @@ from invdyn.models.effects.inertias import inertia_of
 SEEN = "how the motion is seen is no part of a simulation's file"
 OF_LINK = ("mass", "com", "inertia")
 """What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
+IMPEDANCE = "friction impedance"
+"""d of MuJoCo's dry friction, from 0 to 1: a joint at rest creeps the less, the nearer it is to 1."""
 ZERO = "encoder zero"
 """What an encoder shows where the body's angle is 0, rad."""
 ZERO_ELSEWHERE = "subtract it from the log's angles, or from the joint's zero in the map"
@@ -64,6 +67,20 @@ class Correction:
 
     changes: tuple[FileChange, ...]
     unsaid: dict[str, str]
+
+
+class Refined(Protocol):
+    """Numbers of a file that an output-error fit found, with those of an ensemble's members."""
+
+    @property
+    def changes(self) -> tuple[FileChange, ...]:
+        """At the fit."""
+
+    def member(self, place: int) -> tuple[FileChange, ...]:
+        """At one of the draws."""
+
+    def to_json(self) -> dict[str, Any]:
+        """What a diagnosis.json has of it."""
 
 
 def correction(cause: Cause, body: ArticulatedBody) -> Correction:

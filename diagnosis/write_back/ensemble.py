@@ -21,7 +21,7 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.result import Cause, Change, Diagnosis, Estimate, Finding, Learned
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import FileChange, correction, in_files
+from invdyn.diagnosis.write_back.changes import Correction, FileChange, Refined, correction, in_files
 from invdyn.diagnosis.write_back.write_back import rewritten
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
@@ -78,16 +78,28 @@ def drawn(diagnosis: Diagnosis, members: int, seed: int) -> list[Cause | None]:
 
 
 def write_ensemble(
-    diagnosis: Diagnosis, source: str | Path, body: ArticulatedBody, folder: Path, members: int
+    diagnosis: Diagnosis,
+    source: str | Path,
+    body: ArticulatedBody,
+    folder: Path,
+    members: int,
+    refined: Refined | None = None,
 ) -> dict[str, Any]:
     """Write the members and the ranges into ``folder``, which exists; gives what randomisation.json has.
+
+    The members are draws of ``refined`` where an output-error fit was made, else of the diagnosis' causes.
 
     Raises OSError where they cannot be written.
     """
     content = read_whole(source, body_xml.MOST_BYTES)
     suffix, every, unsaid = Path(source).suffix, list[Sequence[FileChange]](), dict[str, str]()
-    for number, cause in enumerate(drawn(diagnosis, members, diagnosis.seed)):
-        wanted = None if cause is None else correction(cause, body)
+    corrections: list[Correction | None]
+    if refined is not None:
+        corrections = [Correction(refined.member(n), {}) for n in range(members)]
+    else:
+        causes = drawn(diagnosis, members, diagnosis.seed)
+        corrections = [None if cause is None else correction(cause, body) for cause in causes]
+    for number, wanted in enumerate(corrections):
         new, left = (content, {}) if wanted is None else rewritten(content, source, body, wanted.changes)
         with atomic_path(folder / f"robot_{number:03d}{suffix}") as temporary:
             temporary.write_bytes(new)

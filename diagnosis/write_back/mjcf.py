@@ -3,6 +3,7 @@
     damping, friction, armature, stiffness, rest    damping, frictionloss, armature, stiffness, springref of a joint
     encoder zero                                    ref of a joint, with its range and springref
     motor gain, limit, delay                        gear, forcerange, delay of the joint's actuator
+    friction impedance                              solimpfriction of a joint, the file's width and midpoint
     servo gain                                      kp or kv of the joint's position or velocity servo
     payload                                         a body of that mass at the tip
     mass, com, inertia of a link                    its inertial element, made explicit from what MuJoCo compiled
@@ -19,7 +20,7 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import OF_LINK, ZERO, FileChange
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, ZERO, FileChange
 from invdyn.diagnosis.write_back.xml_text import Element, XmlText
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
@@ -84,6 +85,11 @@ class Writer:
             return INCLUDED
         if change.quantity in JOINT:
             self.text.change(element, change.comment, **{JOINT[change.quantity]: _said(change.after)})
+            return None
+        if change.quantity == IMPEDANCE:
+            solimp = self.model.dof_solimp[self.model.jnt_dofadr[number]].copy()
+            solimp[:2] = change.after
+            self.text.change(element, change.comment, solimpfriction=_row(solimp))
             return None
         parts = self._parts(change.place)
         if change.quantity == ZERO:

@@ -14,7 +14,8 @@ from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written
 from invdyn.diagnosis.problem.angles import recorded_angles
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back import toml, urdf
-from invdyn.diagnosis.write_back.changes import FileChange, correction, in_files
+from invdyn.diagnosis.write_back.changes import Correction, FileChange, Refined, correction, in_files
+from invdyn.diagnosis.write_back.xml_text import is_mjcf
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.whole_file import read_whole
@@ -44,19 +45,20 @@ def write_back(
     out: str | Path,
     recording: Recording,
     held_out: bool,
+    refined: Refined | None = None,
 ) -> Diagnosis:
     """The diagnosis with what was written: a corrected copy of ``source``, the file of ``body``, as ``out``.
 
     ``recording`` is replayed in both, where MuJoCo reads them; ``held_out`` says whether the causes were found on
-    another one. Without a gap, or a cause, nothing is written, and that is said. Raises OSError where the file cannot
-    be written.
+    another one; ``refined`` are the numbers of an output-error fit (:mod:`.output_error`). Without a gap, or a cause,
+    nothing is written, and that is said. Raises OSError where the file cannot be written.
     """
     cause = best(diagnosis)
     if cause is None:
         why = "there is no gap that a file should change for" if not diagnosis.gap.detected else "no cause was found"
         return replace(diagnosis, written=Written(str(out), (), {}, why))
     content = read_whole(source, body_xml.MOST_BYTES)
-    wanted = correction(cause, body)
+    wanted = correction(cause, body) if refined is None else Correction(refined.changes, {})
     mjcf = is_mjcf(content)
     new, left = rewritten(content, source, body, wanted.changes)
     tried = None
@@ -68,8 +70,9 @@ def write_back(
             if tried and diagnosis.regressed is not None and _worse(tried):
                 raise _Worse  # so that this file does not stay
     except _Worse:
-        # MuJoCo has the last word on the regression: the file then follows the search
-        return write_back(replace(diagnosis, regressed=None), source, body, out, recording, held_out)
+        # MuJoCo has the last word: the file then follows the regression, or the search
+        next_best = diagnosis if refined is not None else replace(diagnosis, regressed=None)
+        return write_back(next_best, source, body, out, recording, held_out)
     changes = tuple(
         {
             "place": each.place,
@@ -83,7 +86,8 @@ def write_back(
         for each in wanted.changes
         if each.words not in left
     )
-    written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried)
+    fit = None if refined is None else refined.to_json()
+    written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried, refined=fit)
     return replace(diagnosis, written=written)
 
 
@@ -94,11 +98,6 @@ class _Worse(Exception):
 def _worse(tried: dict) -> bool:
     """Whether replays of the copy are further off than those of the file."""
     return bool(tried["total_rms_rad"]["after"] >= tried["total_rms_rad"]["before"])
-
-
-def is_mjcf(content: bytes) -> bool:
-    """Whether a file's content is MuJoCo's."""
-    return body_xml.is_xml(content) and b"<mujoco" in content
 
 
 def rewritten(

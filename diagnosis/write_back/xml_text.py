@@ -8,6 +8,13 @@ from dataclasses import dataclass
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from invdyn.models.bodies.body_xml import is_xml
+
+
+def is_mjcf(content: bytes) -> bool:
+    """Whether a file's content is MuJoCo's."""
+    return is_xml(content) and b"<mujoco" in content
+
 
 @dataclass
 class Element:

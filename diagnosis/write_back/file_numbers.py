@@ -1,0 +1,251 @@
+"""The numbers of an MJCF file that a log may correct, as one vector, and the compiled model that has them.
+
+    positive numbers    z = log v        damping (with a servo's own), friction, armature, gain; mass
+    others              z = v            a link's centre of mass, m in the body's frame
+    friction impedance  z = log(1 − d)   one for all joints
+
+MuJoCo's dry friction is soft: under a torque below its limit a joint creeps by about (1 − d)/d of what would hold it
+(MuJoCo documentation, Computation: friction loss, solver parameters). A real gear stands still, so d is a number of the
+file like any other. A link's moments about its centre stay the file's.
+
+The prior is Gaussian in z, about the file's number, or that of a regression where one is given.
+Shapes: N numbers. Units: SI, rad.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from invdyn.diagnosis.rules import FIXED
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, FileChange
+from invdyn.models import ArticulatedBody
+from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.effects.inertias import inertia_of
+from invdyn.models.effects.scale import typical_torque
+
+SERVO_DAMPING = "servo damping"
+UNITS = {
+    "damping": "N·m·s/rad",
+    SERVO_DAMPING: "N·m·s/rad",
+    "friction": "N·m",
+    "armature": "kg·m²",
+    "servo gain": "1",
+    "motor gain": "1",
+    IMPEDANCE: "1",
+    "mass": "kg",
+}
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number: of a joint, a link or the whole (""), with its value in the file and its prior in z."""
+
+    place: str
+    quantity: str
+    filed: float
+    mean: float
+    sd: float
+
+    @property
+    def is_log(self) -> bool:
+        """Whether z is a logarithm."""
+        return not self.quantity.startswith("com")
+
+    def value(self, z: float) -> float:
+        """The number in its own unit."""
+        if self.quantity == IMPEDANCE:
+            return float(1 - np.exp(min(z, np.log(1 - FIXED.min_friction_impedance))))
+        return float(np.exp(z)) if self.is_log else float(z)
+
+
+class FileNumbers:
+    """An MJCF file's numbers (N,) at the driven joints of a body.
+
+    Args:
+        path: the file.
+        body: as read from it.
+        found: what a regression changes, by place and quantity; these values become the priors' means.
+
+    Raises ValueError where MuJoCo cannot read the file.
+    """
+
+    def __init__(self, path: str, body: ArticulatedBody, found: Sequence[FileChange] = ()):
+        self.body, self.path = body, path
+        self.nominal = mujoco.MjModel.from_xml_path(path)
+        after = {(each.place, each.quantity): each.after for each in found}
+        self.numbers = (*self._of_joints(after), *self._of_links(after))
+
+    @property
+    def filed(self) -> np.ndarray:
+        """The file's own z (N,), from priors about the file."""
+        return np.array([each.mean for each in FileNumbers(self.path, self.body).numbers])
+
+    def starts(self) -> np.ndarray:
+        """Vectors (C, N) to start a fit from: the priors' means, and the file's with gains of a ladder."""
+        found = [self.mean]
+        for factor in FIXED.start_gains:
+            z = self.mean
+            for n, each in enumerate(self.numbers):
+                if each.quantity == "damping" and each.filed > 0:
+                    z[n] = np.log(each.filed * np.sqrt(factor))
+                elif each.quantity.endswith("gain"):
+                    z[n] = np.log(factor)
+                elif each.quantity in ("friction", "armature") and each.filed > 0:
+                    z[n] = np.log(each.filed)
+            found.append(z)
+        return np.array(found)
+
+    def about(self, mean: Sequence[float]) -> "FileNumbers":
+        """The same with priors about other means (N,)."""
+        other = copy.copy(self)
+        other.numbers = tuple(replace(each, mean=float(z)) for each, z in zip(self.numbers, mean, strict=True))
+        return other
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Of the prior (N,)."""
+        return np.array([each.mean for each in self.numbers])
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Of the prior (N,)."""
+        return np.array([each.sd for each in self.numbers])
+
+    def _of_joints(self, after: Mapping[tuple[str, str], float]) -> list[Number]:
+        model, found = self.nominal, []
+        dynamics, own = dynamics_for(self.body), self.body.parameters()
+        typical = typical_torque(dynamics, own).tolist()
+        inertia = dynamics.typical_inertia(own).tolist()
+        for k, (name, given) in enumerate(zip(self.body.joint_names, self.body.joint_parts, strict=True)):
+            number, parts = joint_names(model).index(name), given or NOTHING
+            if len(actuators_of(mujoco, model, number)) != 1 or parts.motor is None:
+                continue
+            drag = parts.servo_damping
+            damping = after.get((name, "damping"), parts.damping) + after.get((name, SERVO_DAMPING), drag)
+            friction = after.get((name, "friction"), parts.friction)
+            armature = after.get((name, "armature"), parts.armature)
+            gain = "motor gain" if parts.servo is None else "servo gain"
+            small = FIXED.least_number
+            for quantity, filed, value, least, sd in (
+                ("damping", parts.damping + drag, damping, small * typical[k], FIXED.friction_sd),
+                ("friction", parts.friction, friction, small * typical[k], FIXED.friction_sd),
+                ("armature", parts.armature, armature, small * inertia[k], FIXED.armature_sd),
+                (gain, 1.0, after.get((name, gain), 1.0), small, FIXED.servo_gain_sd),
+            ):
+                found.append(Number(name, quantity, filed, float(np.log(max(value, least))), sd))
+        if found:
+            soft = float(1 - model.dof_solimp[:, 0].max())
+            found.append(Number("", IMPEDANCE, 1 - soft, float(np.log(soft)), FIXED.impedance_sd))
+        return found
+
+    def _of_links(self, after: Mapping[tuple[str, str], float]) -> list[Number]:
+        """Masses and centres of the links that a driven joint moves, each alone on its body."""
+        found = []
+        for k, name in enumerate(self.body.link_names):
+            if self.body.dimensions != 3 or not self.body.moved_by(k):
+                continue  # of a chain in the plane a centre is no point of the file's body
+            body = self._moved_by(k)
+            if any(
+                self._welded(b, body) and self.nominal.body_mass[b] > 0 for b in range(body + 1, self.nominal.nbody)
+            ):
+                continue
+            own = inertia_of(self.body.parameters(), k)
+            mass, com = own.mass.item(), own.com.tolist()
+            size = FIXED.excite_link_share * max(float(np.linalg.norm(com)), float(np.sqrt(own.mean.item() / mass)))
+            found.append(
+                Number(name, "mass", mass, float(np.log(after.get((name, "mass"), mass))), FIXED.excite_link_share)
+            )
+            for axis, value in zip("xyz", com, strict=True):
+                found.append(Number(name, f"com_{axis}", value, after.get((name, f"com_{axis}"), value), size))
+        return found
+
+    def _moved_by(self, link: int) -> int:
+        joint = self.body.joint_names[self.body.moved_by(link)[-1]]
+        return int(self.nominal.jnt_bodyid[joint_names(self.nominal).index(joint)])
+
+    def _welded(self, child: int, to: int) -> bool:
+        while child > to:
+            if self.nominal.body_jntnum[child]:
+                return False
+            child = int(self.nominal.body_parentid[child])
+        return child == to
+
+    def model(self, z: np.ndarray) -> "mujoco.MjModel":
+        """The compiled file with the numbers ``z`` (N,)."""
+        model = copy.copy(self.nominal)
+        for number, own in zip(self.numbers, z, strict=True):
+            value = number.value(own)
+            if number.quantity == IMPEDANCE:
+                model.dof_solimp[:, :2] = value
+            elif number.place in self.body.link_names and (number.quantity == "mass" or number.quantity[:3] == "com"):
+                self._put_in_link(model, number, value)
+            else:
+                self._put_in_joint(model, number, value)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def _put_in_link(self, model: "mujoco.MjModel", number: Number, value: float) -> None:
+        body = self._moved_by(self.body.link_names.index(number.place))
+        if number.quantity == "mass":
+            model.body_mass[body] = value
+        else:
+            model.body_ipos[body, "xyz".index(number.quantity[-1])] += value - number.filed
+
+    def _put_in_joint(self, model: "mujoco.MjModel", number: Number, value: float) -> None:
+        joint = joint_names(model).index(number.place)
+        dof, (motor,) = int(model.jnt_dofadr[joint]), actuators_of(mujoco, model, joint)
+        if number.quantity == "damping":
+            drag = (self.body.joint_parts[self.body.joint_names.index(number.place)] or NOTHING).servo_damping
+            model.dof_damping[dof] = max(value - drag, 0.0)
+            model.actuator_biasprm[motor, 2] = -min(value, drag) / model.actuator_gear[motor, 0] ** 2 if drag else 0.0
+        elif number.quantity == "friction":
+            model.dof_frictionloss[dof] = value
+        elif number.quantity == "armature":
+            model.dof_armature[dof] = value
+        elif number.quantity == "motor gain":
+            model.actuator_gear[motor, 0] *= value
+        else:
+            model.actuator_gainprm[motor, 0] *= value
+            model.actuator_biasprm[motor, 1] *= value
+
+    def changes(self, z: np.ndarray, draws: np.ndarray) -> tuple[FileChange, ...]:
+        """What a file with ``z`` (N,) has otherwise, with central 90 % ranges of ``draws`` (D, N)."""
+        found: list[FileChange] = []
+        for n, number in enumerate(self.numbers):
+            values = np.array([number.value(each) for each in draws[:, n]])
+            low, high = np.quantile(values, [0.05, 0.95]).tolist()
+            place, unit = number.place, UNITS.get(number.quantity, "m")
+            change = FileChange(
+                place, number.quantity, number.filed, number.value(z[n]), (low, high), unit, "output error"
+            )
+            found += self._split(change)
+        return tuple(each for each in found if abs(each.after - each.before) > FIXED.same_number * abs(each.before))
+
+    def _split(self, change: FileChange) -> list[FileChange]:
+        """Damping in the joint and in its servo, which is the file's while the whole is larger."""
+        if change.quantity == IMPEDANCE:
+            joints = dict.fromkeys(n.place for n in self.numbers if n.quantity == "friction")
+            return [replace(change, place=joint) for joint in joints]
+        if change.quantity != "damping":
+            return [change]
+        drag = (self.body.joint_parts[self.body.joint_names.index(change.place)] or NOTHING).servo_damping
+        low, high = change.interval_90
+        own = replace(
+            change,
+            before=change.before - drag,
+            after=max(change.after - drag, 0.0),
+            interval_90=(max(low - drag, 0.0), max(high - drag, 0.0)),
+        )
+        servo = replace(
+            change,
+            quantity=SERVO_DAMPING,
+            before=drag,
+            after=min(change.after, drag),
+            interval_90=(min(low, drag), min(high, drag)),
+        )
+        return [own, servo] if change.after < drag else [own]

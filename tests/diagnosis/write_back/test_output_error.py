@@ -1,0 +1,139 @@
+"""The output-error fit of an MJCF's numbers: parity with the written file, recovery, seeds, and what is refused."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, Z_90, FileChange
+from invdyn.diagnosis.write_back.engine_replays import Replays, windows
+from invdyn.diagnosis.write_back.file_numbers import FileNumbers
+from invdyn.diagnosis.write_back.output_error import refined
+from invdyn.diagnosis.write_back.write_back import rewritten
+from invdyn.models import Body
+from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.recordings import Recording
+
+FILE = """<mujoco><compiler angle="radian"/><option timestep="0.004"/><worldbody>
+<body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="{damping}" frictionloss="{friction}"
+ armature="0.02" {soft}/><inertial pos="0 0 -0.12" mass="{mass}" diaginertia="0.004 0.004 0.0005"/>
+<body name="fore" pos="0 0 -0.25"><joint name="elbow" axis="1 0 0" damping="{damping}" frictionloss="{friction}"
+ armature="0.02" {soft}/><inertial pos="0 0.01 -0.1" mass="0.4" diaginertia="0.002 0.002 0.0003"/>
+<site name="tip" pos="0 0 -0.25"/></body></body></worldbody>
+<actuator><position joint="shoulder" kp="{kp}" kv="1"/><position joint="elbow" kp="{kp}" kv="1"/></actuator></mujoco>"""
+STATED = {"kp": 300, "damping": 0.4, "friction": 0.05, "mass": 0.6, "soft": ""}
+TRUE = {"kp": 12, "damping": 0.1, "friction": 0.3, "mass": 0.8, "soft": 'solimpfriction="0.999 0.999 0.001"'}
+NOISE = 1e-3  # rad
+
+
+def log(body, rows, seed):
+    """What the true arm does at 50 rows/s under steps and waves of its targets."""
+    rng = np.random.default_rng(seed)
+    model = mujoco.MjModel.from_xml_string(FILE.format(**TRUE))
+    data, time = mujoco.MjData(model), np.arange(rows) / 50
+    steps = rng.uniform(-0.8, 0.8, (rows // 60 + 1, 2)).repeat(60, 0)[:rows]
+    target = steps + 0.3 * np.sin(time[:, None] * [2.1, 2.9])
+    angle = np.empty((rows, 2))
+    for row in range(rows):
+        angle[row], data.ctrl[:] = data.qpos, target[row]
+        mujoco.mj_step(model, data, 5)
+    torque = [servo_torque(p.servo, p.zero + p.sign * u) for p, u in zip(body.joint_parts, target.T, strict=True)]
+    shown = angle + rng.normal(0, NOISE, angle.shape)
+    return Recording(time, np.empty((rows, 0, 3)), (), None, shown, np.stack(torque, -1), body.joint_names)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """The file as stated, and the body that it says."""
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(FILE.format(**STATED))
+    return str(path), Body.load(path)
+
+
+@pytest.fixture(scope="module")
+def fit(arm):
+    """The fit to 72 s of two logs: nine windows, of which three are held out."""
+    path, body = arm
+    return refined([log(body, 1850, 1), log(body, 1850, 2)], path, body, (), draws=24, seed=3)
+
+
+def value(fit, place, quantity):
+    """A change by its place and quantity."""
+    return next(each for each in fit.changes if (each.place, each.quantity) == (place, quantity))
+
+
+def test_a_model_of_numbers_is_the_compiled_copy_of_its_changes(arm):
+    path, body = arm
+    numbers = FileNumbers(path, body)
+    rng = np.random.default_rng(0)
+    z = numbers.mean + 0.3 * numbers.sd * rng.standard_normal(len(numbers.mean))
+    new, unsaid = rewritten(Path(path).read_bytes(), path, body, numbers.changes(z, z[None]))
+    assert not unsaid
+    copy, built = mujoco.MjModel.from_xml_string(new.decode()), numbers.model(z)
+    for name in ("dof_damping", "dof_frictionloss", "dof_armature", "dof_solimp", "actuator_gainprm"):
+        np.testing.assert_allclose(getattr(built, name), getattr(copy, name), rtol=1e-5, err_msg=name)
+    for name in ("actuator_biasprm", "body_mass", "body_ipos", "dof_invweight0"):
+        np.testing.assert_allclose(getattr(built, name), getattr(copy, name), rtol=1e-5, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(np.sort(built.body_inertia), np.sort(copy.body_inertia), rtol=1e-5)
+
+
+def test_numbers_of_the_file_change_nothing(arm):
+    numbers = FileNumbers(*arm)
+    assert numbers.changes(numbers.filed, numbers.filed[None]) == ()
+
+
+def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
+    path = tmp_path / "true.xml"
+    path.write_text(FILE.format(**TRUE))
+    body = Body.load(path)
+    numbers = FileNumbers(str(path), body)
+    (first, *_) = windows(numbers, log(body, 450, 1))
+    off = Replays(numbers).errors(numbers.filed[None], first)[0]
+    # what the smoother misses of a first velocity is gone in half a second
+    assert (np.sqrt((off[25:] ** 2).mean(0)) < 1.2 * NOISE).all()
+
+
+@pytest.mark.long
+def test_held_out_windows_are_replayed_down_to_noise(fit):
+    assert fit.is_better
+    for joint in ("shoulder", "elbow"):
+        assert fit.rms["refined"][joint] < min(3 * NOISE, 0.1 * fit.rms["file"][joint])
+    assert fit.coverage >= 0.9
+
+
+@pytest.mark.long
+def test_gain_friction_and_its_softness_are_found(fit):
+    for joint in ("shoulder", "elbow"):
+        gain, friction = value(fit, joint, "servo gain"), value(fit, joint, "friction")
+        # a gain and all masses share a factor, which the prior of masses alone says
+        low, high = np.log(gain.interval_90)
+        assert abs(np.log(gain.after * STATED["kp"] / TRUE["kp"])) < 2.6 * (high - low) / (2 * Z_90)
+        assert friction.after / gain.after == pytest.approx(TRUE["friction"] / TRUE["kp"] * STATED["kp"], rel=0.1)
+    soft = value(fit, "shoulder", IMPEDANCE)
+    assert soft.before == pytest.approx(0.9)
+    assert soft.after > 0.99
+
+
+@pytest.mark.long
+def test_the_same_seed_and_any_number_of_threads_give_the_same_bits(arm):
+    path, body = arm
+    logs = [log(body, 1250, 5)]
+    one, two = (refined(logs, path, body, (), draws=4, seed=3, workers=n) for n in (1, 2))
+    np.testing.assert_array_equal(one.draws, two.draws)
+    assert one.changes == two.changes
+
+
+def test_a_fit_starts_from_the_gain_that_replays_best(arm):
+    path, body = arm
+    given = (FileChange("elbow", "servo gain", 1.0, 0.04, (0.03, 0.05), "1", "actuator_gain.elbow"),)
+    numbers = FileNumbers(path, body, given)
+    index = [each.quantity for each in numbers.numbers if each.place == "elbow"].index("servo gain")
+    own = [each for each in numbers.numbers if each.place == "elbow"][index]
+    assert np.exp(own.mean) == pytest.approx(0.04)
+    assert np.exp(numbers.starts()[1:, numbers.numbers.index(own)]) == pytest.approx([1, 0.3, 0.1, 0.03, 0.01])
+
+
+def test_too_short_a_log_is_not_fitted(arm):
+    path, body = arm
+    assert refined([log(body, 900, 1)], path, body, (), draws=4, seed=0) is None
