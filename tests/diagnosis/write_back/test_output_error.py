@@ -28,12 +28,12 @@ NOISE = 1e-3  # rad
 
 
 def log(body, rows, seed):
-    """What the true arm does at 50 rows/s under steps and waves of its targets."""
+    """What the true arm does at 50 rows/s under steps of its targets, and waves for half of the time."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(FILE.format(**TRUE))
     data, time = mujoco.MjData(model), np.arange(rows) / 50
     steps = rng.uniform(-0.8, 0.8, (rows // 60 + 1, 2)).repeat(60, 0)[:rows]
-    target = steps + 0.3 * np.sin(time[:, None] * [2.1, 2.9])
+    target = steps + 0.3 * np.sin(time[:, None] * [2.1, 2.9]) * (time[:, None] % 8 < 4)
     angle = np.empty((rows, 2))
     for row in range(rows):
         angle[row], data.ctrl[:] = data.qpos, target[row]
@@ -112,7 +112,7 @@ def test_gain_friction_and_its_softness_are_found(fit):
         assert friction.after / gain.after == pytest.approx(TRUE["friction"] / TRUE["kp"] * STATED["kp"], rel=0.1)
     soft = value(fit, "shoulder", IMPEDANCE)
     assert soft.before == pytest.approx(0.9)
-    assert soft.after > 0.99
+    assert soft.after > 0.95  # what creeps less than that is under the floor of an error
 
 
 @pytest.mark.long
