@@ -19,6 +19,8 @@ from invdyn.recordings.reading import Reading
 SIGNS = ("torque sign", "direction", "angle sign")
 NOT_SURE = ("held",)
 """Mistakes of rows that cost precision, and mislead nobody."""
+OF_FILE = ("gain",)
+"""Mistakes of the robot's file, which a diagnosis corrects."""
 
 
 def check_before(
@@ -35,6 +37,8 @@ def check_before(
     Certain are numbers that are the body's in another unit, or torques that miss a fifth of their size or more, and
     less than a third of that once the mistake is put right. Numbers that no other unit makes plausible are refused
     where a `Reading` says what was declared. A `Recording` is in SI units by its own account, so a warning says it.
+
+    A servo's gain in the robot's file is none of the recording's mistakes, and is warned of.
 
     Each mistake is found with those before it put right. So the first alone can be sure: if it is none, but an effect,
     the others may be none either, and are said. So are torques far from the motion of encoders that nothing explains.
@@ -55,7 +59,7 @@ def check_before(
         refused.append(refuse(f"{given.name}: {what}; `invdyn check` says more", force))
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
-        if _sure(wrong, body, rules) and effect is None and n == 0:
+        if wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None and n == 0:
             refused.append(refuse(f"{said}; `invdyn check` says more", force))
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)

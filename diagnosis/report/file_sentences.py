@@ -1,9 +1,11 @@
 """Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
-from invdyn.diagnosis.report.numbers import changed, handies, handy
+from invdyn.diagnosis.report.numbers import changed, handies, handy, percent
 from invdyn.diagnosis.report.words import finding_words, place_words
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.joint_parts import PARTS
@@ -64,7 +66,7 @@ def written(copy: Written) -> list[str]:
     """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
     if copy.nothing is not None:
         return [f"No corrected file was written: {copy.nothing}."]
-    what = [f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}" for each in copy.changes]
+    what = _by_quantity(copy.changes)
     if what:
         found = [f"The corrected simulation is {copy.file}: changed is {named(what)}."]
     else:
@@ -87,14 +89,28 @@ def written(copy: Written) -> list[str]:
     return found
 
 
+def _by_quantity(made: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Changes in words: the places of a quantity by name, or how many they are."""
+    places: dict[str, list[str]] = {}
+    for each in made:
+        places.setdefault(each["quantity"], []).append(each["place"])
+    counted = {quantity: f"{len(of)} places" if len(of) > 2 else named(of) for quantity, of in places.items()}
+    return [f"{quantity}{' of ' * bool(of)}{of}" for quantity, of in counted.items()]
+
+
 def _refined(fit: dict) -> str:
     """What replays of held-out windows are off by, in the mean square of joints."""
     by_joint = fit["held_out_rms_rad"]
     off = {who: math.sqrt(sum(x**2 for x in each.values()) / len(each)) for who, each in by_joint.items()}
     refined, regression, filed = handies("rad", off["refined"], off["regression"], off["file"])
+    shares = [
+        f"{percent(1 - by_joint['refined'][name] / size)} at {place_words('joint', name)}"
+        for name, size in by_joint["file"].items()
+    ]
     return (
         f"Its numbers are fitted to MuJoCo's replays of the logs. In held-out windows of {fit['window_s']:g} s the "
-        f"angles are off by {refined} rms, by {regression} with the regression's numbers, by {filed} with the original."
+        f"angles are off by {refined} rms, by {regression} with the regression's numbers, by {filed} with the "
+        f"original: closed are {named(shares)}."
     )
 
 

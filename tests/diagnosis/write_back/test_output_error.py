@@ -5,6 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from far_servos import FILE, NOISE, STATED, TRUE, log
 
 from invdyn.diagnosis.write_back.changes import IMPEDANCE, Z_90, FileChange
 from invdyn.diagnosis.write_back.engine_replays import Replays, windows
@@ -12,35 +13,6 @@ from invdyn.diagnosis.write_back.file_numbers import FileNumbers
 from invdyn.diagnosis.write_back.output_error import refined
 from invdyn.diagnosis.write_back.write_back import rewritten
 from invdyn.models import Body
-from invdyn.models.articulated.as_filed import servo_torque
-from invdyn.recordings import Recording
-
-FILE = """<mujoco><compiler angle="radian"/><option timestep="0.004"/><worldbody>
-<body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="{damping}" frictionloss="{friction}"
- armature="0.02" {soft}/><inertial pos="0 0 -0.12" mass="{mass}" diaginertia="0.004 0.004 0.0005"/>
-<body name="fore" pos="0 0 -0.25"><joint name="elbow" axis="1 0 0" damping="{damping}" frictionloss="{friction}"
- armature="0.02" {soft}/><inertial pos="0 0.01 -0.1" mass="0.4" diaginertia="0.002 0.002 0.0003"/>
-<site name="tip" pos="0 0 -0.25"/></body></body></worldbody>
-<actuator><position joint="shoulder" kp="{kp}" kv="1"/><position joint="elbow" kp="{kp}" kv="1"/></actuator></mujoco>"""
-STATED = {"kp": 300, "damping": 0.4, "friction": 0.05, "mass": 0.6, "soft": ""}
-TRUE = {"kp": 12, "damping": 0.1, "friction": 0.3, "mass": 0.8, "soft": 'solimpfriction="0.999 0.999 0.001"'}
-NOISE = 1e-3  # rad
-
-
-def log(body, rows, seed):
-    """What the true arm does at 50 rows/s under steps of its targets, and waves for half of the time."""
-    rng = np.random.default_rng(seed)
-    model = mujoco.MjModel.from_xml_string(FILE.format(**TRUE))
-    data, time = mujoco.MjData(model), np.arange(rows) / 50
-    steps = rng.uniform(-0.8, 0.8, (rows // 60 + 1, 2)).repeat(60, 0)[:rows]
-    target = steps + 0.3 * np.sin(time[:, None] * [2.1, 2.9]) * (time[:, None] % 8 < 4)
-    angle = np.empty((rows, 2))
-    for row in range(rows):
-        angle[row], data.ctrl[:] = data.qpos, target[row]
-        mujoco.mj_step(model, data, 5)
-    torque = [servo_torque(p.servo, p.zero + p.sign * u) for p, u in zip(body.joint_parts, target.T, strict=True)]
-    shown = angle + rng.normal(0, NOISE, angle.shape)
-    return Recording(time, np.empty((rows, 0, 3)), (), None, shown, np.stack(torque, -1), body.joint_names)
 
 
 @pytest.fixture(scope="module")
