@@ -224,6 +224,9 @@ def diagnose(
         tuple[int, Path] | None,
         typer.Option(metavar="N DIR", help="N copies drawn from the posterior, and ranges to randomise in."),
     ] = None,
+    engine: Annotated[
+        str, Setting("dynamics: mujoco for contact, loops, tendons, muscles, or own; default: by the file and the log")
+    ] = "auto",
 ) -> None:
     """Find where a simulation and a recording differ, and why.
 
@@ -239,6 +242,7 @@ def diagnose(
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
     from invdyn.recordings import InputError, new_folder, whole_set
 
+    from .engine_input import diagnose_by_engine, engine_log_of
     from .outputs import OutputFolder, check_folder
 
     given.check()
@@ -260,6 +264,19 @@ def diagnose(
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
         members = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
         check_folder(copies, [copies / "randomisation.json", *members], given.files)
+    if (played := engine_log_of(given, engine)) is not None:
+        if ensemble is not None:
+            raise InputError("--ensemble: has no part in MuJoCo's engine: leave it out, or --set engine=own")
+        with ProgressBar() as progress:
+            diagnosis = diagnose_by_engine(given, *played, progress, write_back)
+        with new_folder(out), whole_set():
+            save(diagnosis, out)
+        say(f"engine     {diagnosis.method['engine']}")
+        say(verdict(diagnosis))
+        for sentence in details(diagnosis):
+            say(sentence)
+        say(outputs.listing())
+        return
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with ProgressBar() as progress:

@@ -76,11 +76,12 @@ class Diagnosed(Recorded):
 
     def check(self) -> None:
         """Raise InputError for what does not go together, an unknown effect, and a recording that is given twice."""
+        from invdyn.diagnosis.engine.effects import EFFECTS as OF_ENGINE
         from invdyn.models.effects import EFFECTS
         from invdyn.recordings import InputError, resolved
 
         for name in self.excluded:
-            if name not in EFFECTS:
+            if name not in EFFECTS and name not in {effect.name for effect in OF_ENGINE}:
                 raise InputError(f"unknown effect {name!r}: known are {', '.join(EFFECTS)}")
         more = {"--with": self.others, "--held-out": self.held_out, "--camera": self.camera}
         if self.source not in (None, *SOURCES):

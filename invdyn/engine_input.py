@@ -1,6 +1,6 @@
-"""Which engine moves a body, by what its file holds, and an inference by MuJoCo's."""
+"""Which engine moves a body, by what its file holds; an inference and a diagnosis by MuJoCo's."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,14 +9,24 @@ from .input_names import body_file, frame_range
 if TYPE_CHECKING:
     import arviz as az
 
+    from invdyn.models import Scene
+    from invdyn.recordings import Recording
+
+    from .diagnosis_options import Diagnosed
     from .inference_options import Inference
+    from .recording_options import Recorded
 
 ENGINES = ("auto", "mujoco", "own")
 UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint", "forces")
 """Options that have no part in an inference by MuJoCo's engine."""
+UNUSED_IN_DIAGNOSIS = (
+    *("others", "held_out", "camera", "estimate", "budget", "force", "hide_torque", "checkpoint", "scale", "base"),
+    *("calibration", "tracker"),
+)
+"""The same of a diagnosis."""
 
 
-def engine_reasons(given: "Inference", engine: str) -> list[str] | None:
+def engine_reasons(given: "Recorded", engine: str) -> list[str] | None:
     """Why MuJoCo's engine is taken, or None where it is not.
 
     By default it is for a table of keypoints whose body's file holds what rigid links with joints lack. Raises
@@ -52,35 +62,16 @@ def infer_by_engine(
 ) -> "az.InferenceData":
     """Read recording, model and truth, and infer. Raises InputError, BodyError or OSError as readers do."""
     from invdyn.inference.infer_engine import DRAWS, FILTERS, PARTICLES, infer_engine
-    from invdyn.models import TORQUE_PROCESSES, Scene
-    from invdyn.recordings import FORMATS, InputError, load, read_truth
-    from invdyn.recordings.formats.registry import recognise
+    from invdyn.models import TORQUE_PROCESSES
+    from invdyn.recordings import load, read_truth
     from invdyn.recordings.plane import FLAT, in_space
 
-    usual = type(given).__dataclass_fields__
-    for name in UNUSED:
-        if getattr(given, name) != usual[name].default:
-            option = name.replace("_", "-")
-            raise InputError(f"--{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
-    name = given.recording
-    options = {key: getattr(given, key) for key in ("units", "fps", "format", "individual")}
-    seen = load(name, **options)
+    _refuse_unused(given, UNUSED)
+    seen = load(given.recording, **_reading(given))
     flat = given.plane is not None or not in_space(seen)
-    with body_file(str(given.body)) as path:
-        scene = Scene.of(Path(path), dimensions=2 if flat and seen.keypoint_names else 3)
-    slides = tuple(
-        joint for joint, dof in zip(scene.joint_names, scene.model.dof_jntid, strict=True)
-        if scene.model.jnt_type[dof] == 2
-    )  # fmt: skip
-    plane = (given.plane or FLAT) if flat else None
-    recording = load(name, joints=scene.joint_names, shifting=slides, plane=plane, **options)
-    if recording.length_unit == "px":
-        raise InputError(f"{name}: keypoints are in px, and MuJoCo's model is in metres: pass --units and a scale")
-    points, sites = recording.keypoint_names, scene.keypoint_names
-    own = Path(name).exists() and FORMATS[recognise(Path(name), given.format)].read is None
-    if not own and any(point in sites for point in points):
-        recording = recording.with_keypoints([point for point in points if point in sites])
-    recording = recording.at(frame_range(given.frames))
+    scene = _scene(given, 2 if flat and seen.keypoint_names else 3)
+    recording = _recording(given, scene, scene.joint_names, (given.plane or FLAT) if flat else None)
+    usual = type(given).__dataclass_fields__
     truth = None if given.truth is None else read_truth(given.truth)
     sizes: dict[str, Any] = {
         "num_filters": FILTERS if given.filters == usual["filters"].default else given.filters,
@@ -101,3 +92,113 @@ def infer_by_engine(
         executor=executor,
         reasons=reasons,
     )
+
+
+def _reading(given: "Recorded") -> dict[str, Any]:
+    return {key: getattr(given, key) for key in ("units", "fps", "format", "individual")}
+
+
+def _refuse_unused(given: "Recorded", unused: Sequence[str]) -> None:
+    from invdyn.recordings import InputError
+
+    usual = type(given).__dataclass_fields__
+    for name in unused:
+        if getattr(given, name) != usual[name].default:
+            option = {"others": "with"}.get(name, name).replace("_", "-")
+            raise InputError(f"--{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
+
+
+def _scene(given: "Recorded", dimensions: int) -> "Scene":
+    from invdyn.models import Scene
+
+    with body_file(str(given.body)) as path:
+        return Scene.of(Path(path), dimensions=dimensions)
+
+
+def _recording(given: "Recorded", scene: "Scene", columns: Sequence[str], plane: str | None) -> "Recording":
+    """The table, in metres, of keypoints that the scene has and of ``columns`` by name."""
+    from invdyn.recordings import FORMATS, InputError, load
+    from invdyn.recordings.formats.registry import recognise
+
+    name = given.recording
+    slides = tuple(
+        joint for joint, dof in zip(scene.joint_names, scene.model.dof_jntid, strict=True)
+        if scene.model.jnt_type[dof] == 2
+    )  # fmt: skip
+    recording = load(name, joints=columns, shifting=slides, plane=plane, **_reading(given))
+    if recording.length_unit == "px":
+        raise InputError(f"{name}: keypoints are in px, and MuJoCo's model is in metres: pass --units and a scale")
+    points, sites = recording.keypoint_names, scene.keypoint_names
+    own = Path(name).exists() and FORMATS[recognise(Path(name), given.format)].read is None
+    if not own and any(point in sites for point in points):
+        recording = recording.with_keypoints([point for point in points if point in sites])
+    return recording.at(frame_range(given.frames))
+
+
+def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, list[str]] | None":
+    """A log, its simulation, and why MuJoCo's engine diagnoses it; None where it does not.
+
+    By default it does where the file has equality constraints, tendons, muscles or lagging actuators, or where the
+    joints' own angles touch what stands in the world; and commands are known. Raises as :func:`engine_reasons`, and
+    InputError for options that have no part in it.
+    """
+    from invdyn.models.engine.needed import touched
+    from invdyn.recordings import InputError, load
+    from invdyn.recordings.plane import FLAT, in_space
+
+    several = len(given.recordings) > 1
+    if several and engine == "mujoco":
+        raise InputError("--set engine=mujoco: expected one recording, got several: diagnose them one by one")
+    reasons = None if several else engine_reasons(given, engine)
+    if reasons is None:
+        return None
+    seen = load(given.recording, **_reading(given))
+    if engine == "auto" and (given.hide_torque or not (given.zero_torque or seen.torques is not None)):
+        return None
+    flat = given.plane is not None or not in_space(seen)
+    scene = _scene(given, 2 if flat and seen.keypoint_names else 3)
+    columns = tuple(dict.fromkeys((*scene.joint_names, *scene.actuator_names)))
+    plane = (given.plane or FLAT) if flat and seen.keypoint_names else None
+    recording = _recording(given, scene, columns, plane)
+    by_contact = engine == "auto" and all(reason.startswith("contact of") for reason in reasons)
+    if by_contact and not touched(scene, recording.angles, recording.joint_names):
+        return None
+    _refuse_unused(given, UNUSED_IN_DIAGNOSIS)
+    return recording, scene, reasons
+
+
+def diagnose_by_engine(
+    given: "Diagnosed",
+    recording: "Recording",
+    scene: "Scene",
+    reasons: list[str],
+    progress: Callable[..., Any],
+    out: Path | None,
+) -> Any:
+    """The diagnosis, with a corrected copy of the body's file as ``out``. Raises InputError or OSError."""
+    from dataclasses import replace
+
+    from invdyn.diagnosis.engine.diagnose import MOST, diagnose_engine
+    from invdyn.diagnosis.engine.write_back import write_back
+    from invdyn.diagnosis.rules import DEFAULT
+
+    tolerance = given.tolerance
+    if tolerance is None and given.robot:
+        tolerance = DEFAULT.evidence.robot_tolerance
+    rules = DEFAULT if tolerance is None else DEFAULT.replace(tolerance=tolerance)
+    usual = type(given).__dataclass_fields__["max_effects"].default
+    diagnosis = diagnose_engine(
+        replace(recording, torques=None) if given.zero_torque else recording,
+        scene,
+        passive=given.zero_torque,
+        without=given.excluded,
+        most=MOST if given.max_effects == usual else given.max_effects,
+        seed=given.seed,
+        rules=rules,
+        reasons=reasons,
+        progress=progress,
+    )
+    if out is None:
+        return diagnosis
+    with body_file(str(given.body)) as path:
+        return write_back(diagnosis, path, scene, out, recording, given.zero_torque)

@@ -113,6 +113,7 @@ STAGES = {
         "assessment",
         "check",
         "write_back",
+        "engine",
         "report",
     ],
 }

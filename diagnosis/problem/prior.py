@@ -32,11 +32,19 @@ cause α is larger. It is such that .90 of 740 intervals of opened blind runs ho
 
 import math
 from collections.abc import Collection, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from invdyn.diagnosis.rules import DEFAULT, Rules
-from invdyn.models.effects.base import Effect
+
+
+class Named(Protocol):
+    """An effect at a place."""
+
+    @property
+    def name(self) -> str:
+        """The effect's, without the place."""
 
 
 def tempered(gain: float, alpha: float) -> float:
@@ -63,15 +71,15 @@ def another(count: int, rules: Rules = DEFAULT) -> float:
     return of_number(count + 1, rules) / of_number(count, rules) if more else 1.0
 
 
-def statements(effects: Sequence[Effect], everywhere: Collection[str] = ()) -> int:
+def statements(effects: Sequence[Named], everywhere: Collection[str] = ()) -> int:
     """How many effects are stated: one of several places counts once, where it is one of ``everywhere``."""
     names = [effect.name for effect in effects]
     return sum(name not in everywhere for name in names) + len({*names} & {*everywhere})
 
 
 def log_prior_of(
-    effects: Sequence[Effect],
-    candidates: Sequence[Effect],
+    effects: Sequence[Named],
+    candidates: Sequence[Named],
     rules: Rules = DEFAULT,
     everywhere: Collection[str] = (),
 ) -> float:

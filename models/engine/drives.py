@@ -200,19 +200,35 @@ def is_muscle(model: Any) -> np.ndarray:
     return np.asarray(model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE))
 
 
+@dataclass(frozen=True)
+class Given:
+    """Inputs that are known, each from a row to the next: controls (T, nu) and generalised forces (T, nv), or None."""
+
+    controls: np.ndarray | None = None
+    forces: np.ndarray | None = None
+
+    @property
+    def fields(self) -> dict[str, np.ndarray]:
+        """By their names in ``mujoco.mjtState``."""
+        found = {"CTRL": self.controls, "QFRC_APPLIED": self.forces}
+        return {name: values for name, values in found.items() if values is not None}
+
+
 class Inputs:
     """Several drives as one: their numbers, and all of MuJoCo's inputs made of them.
 
-    Inputs of no drive are zero: a file's actuators then rest, and are switched off where no drive controls them.
+    Inputs of no drive are zero but for those that are ``given``: a file's actuators then rest, and are switched off
+    where nothing controls them.
     """
 
-    def __init__(self, drives: Sequence[Drive], model: Any):
+    def __init__(self, drives: Sequence[Drive], model: Any, given: Given | None = None):
         import mujoco
 
         self.drives = tuple(each.bound(model) for each in drives)
+        self.given = (given or Given()).fields
         self.names = tuple(name for each in self.drives for name in each.names)
         self.units = tuple(unit for each in self.drives for unit in each.units)
-        fields = {"CTRL"} | {each.fills for each in self.drives}
+        fields = {"CTRL", *self.given} | {each.fills for each in self.drives}
         bits = {name: int(getattr(mujoco.mjtState, f"mjSTATE_{name}")) for name in fields}
         order = sorted(bits, key=bits.__getitem__)
         sizes = [mujoco.mj_stateSize(model, bits[name]) for name in order]
@@ -229,8 +245,8 @@ class Inputs:
 
     @property
     def controls_actuators(self) -> bool:
-        """Whether a drive sets the file's own actuators."""
-        return any(isinstance(each, Controls) for each in self.drives)
+        """Whether a drive, or what is given, sets the file's own actuators."""
+        return "CTRL" in self.given or any(isinstance(each, Controls) for each in self.drives)
 
     def _parts(self, z: np.ndarray) -> list[np.ndarray]:
         return np.split(z, np.cumsum([len(each.names) for each in self.drives])[:-1], -1)
@@ -243,9 +259,11 @@ class Inputs:
         """The inputs (…, K), in their units."""
         return np.concatenate([each.inputs(part) for each, part in zip(self.drives, self._parts(z), strict=True)], -1)
 
-    def fields(self, z: np.ndarray) -> np.ndarray:
-        """MuJoCo's inputs (…, C) of z (…, K)."""
+    def fields(self, z: np.ndarray, since: np.ndarray | None = None) -> np.ndarray:
+        """MuJoCo's inputs (…, C) of z (…, K), with what is given ``since`` rows (…)."""
         out = np.zeros((*z.shape[:-1], self.width))
         for each, part in zip(self.drives, self._parts(z), strict=True):
             each.fill(part, out[..., self._places[each.fills]])
+        for name, values in self.given.items() if since is not None else ():
+            out[..., self._places[name]] += values[since]
         return out

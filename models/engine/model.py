@@ -16,6 +16,7 @@ Shapes: states (..., D), D = Z + 2 nv + na; rows (..., O). MuJoCo computes in fl
 import copy
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from hashlib import blake2b
 from pathlib import Path
@@ -30,7 +31,7 @@ from invdyn.models.articulated.defaults import Value, WrongValue, shaped
 from invdyn.models.articulated.state import gaussian
 from invdyn.models.articulated.timeline import Timeline
 from invdyn.models.bodies.scalars import BodyError
-from invdyn.models.engine.drives import Drive, Inputs, JointTorques
+from invdyn.models.engine.drives import Drive, Given, Inputs, JointTorques
 from invdyn.models.engine.inverse_kinematics import poses
 from invdyn.models.engine.readings import EngineView, Readings
 from invdyn.models.engine.scene import Scene, engine
@@ -59,6 +60,7 @@ class EngineModel(StateSpaceModel):
         torque: process of the drive; Ornstein–Uhlenbeck by default.
         parameters: values that replace the defaults, by dotted name, as :class:`.ArmModel` takes them; joints are the
             degrees of freedom. And "noise.activation", "initial.activation", "initial.activation_scale" (na,).
+        given: inputs that are known, beside the drive: what a robot was commanded.
         threads: of the simulations; all cores by default. Results do not depend on it.
 
     Raises BodyError for a model that cannot be used, ValueError for times that do not increase, sensors or parameters
@@ -76,6 +78,7 @@ class EngineModel(StateSpaceModel):
         drive: Drive | Sequence[Drive] | None = None,
         torque: TorqueProcess | None = None,
         parameters: Mapping[str, Value] | None = None,
+        given: Given | None = None,
         threads: int | None = None,
     ):
         self.scene = scene = scene if isinstance(scene, Scene) else Scene.of(scene)
@@ -86,7 +89,9 @@ class EngineModel(StateSpaceModel):
         self.timeline = Timeline.of(time)
         self.num_steps = len(self.timeline.time)
         drives = (drive or JointTorques(),) if drive is None or not isinstance(drive, Sequence) else tuple(drive)
-        self.inputs = Inputs(drives, scene.model)
+        self.inputs = Inputs(drives, scene.model, given)
+        if self.inputs.given and any(isinstance(each, Readings) for each in self.observation.sensors):
+            raise ValueError("expected sites or encoders beside given inputs, got MuJoCo's own sensors: leave them out")
         self.torque = torque or OrnsteinUhlenbeck()
         self.torque_size = self.torque.size(self.inputs.size)
         self.nv, self.na = int(scene.model.nv), int(scene.model.na)
@@ -162,6 +167,14 @@ class EngineModel(StateSpaceModel):
             compiled.opt.disableflags |= engine(self.scene.name).mjtDisableBit.mjDSBL_ACTUATION
         return compiled
 
+    def on(self, compiled: Any) -> Self:
+        """The same of another compiled model of the same sizes, such as one with a changed number."""
+        other = copy.copy(self)
+        for name in ("simulator", "_watched"):
+            vars(other).pop(name, None)
+        other.scene, other._memo = replace(self.scene, model=compiled, spec=None), Memo()
+        return other
+
     def row_steps(self, row: int) -> tuple[float, int]:
         """Length in s, and number, of MuJoCo's steps into a ``row``."""
         return self._steps[int(self._which[row])]
@@ -206,13 +219,15 @@ class EngineModel(StateSpaceModel):
 
     def drive_within(self, flat: np.ndarray, row: int, steps: int) -> np.ndarray:
         """MuJoCo's inputs (B, n, C) in the n steps into a ``row``, from states (B, D)."""
-        return self._within(flat, self._faded(flat, np.full(len(flat), row)), steps)
+        rows = np.full(len(flat), row)
+        return self._within(flat, self._faded(flat, rows), rows, steps)
 
-    def _within(self, flat: np.ndarray, faded: np.ndarray, steps: int) -> np.ndarray:
-        """The same: z on a line to its mean ``faded`` (B, Z), at the steps' middles."""
+    def _within(self, flat: np.ndarray, faded: np.ndarray, rows: np.ndarray, steps: int) -> np.ndarray:
+        """The same into ``rows`` (B,): z on a line to its mean ``faded`` (B, Z), at the steps' middles."""
         share = (np.arange(steps) + 0.5) / steps
         now, then = (each[:, None, : self.inputs.size] for each in (flat, faded))
-        return self.inputs.fields(now + share[:, None] * (then - now))
+        since = np.maximum(rows - 1, 0)[:, None].repeat(steps, 1)
+        return self.inputs.fields(now + share[:, None] * (then - now), since)
 
     def _faded(self, flat: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Means (B, Z) of the drive in ``rows`` (B,), given states (B, D) before them."""
@@ -247,7 +262,7 @@ class EngineModel(StateSpaceModel):
             here = np.flatnonzero(which == kind)
             length, count = self._steps[kind]
             own = flat[here]
-            controls = self._within(own, faded[here], count)
+            controls = self._within(own, faded[here], rows[here], count)
             ends, _ = self.simulator.run(self.physics(own), controls, length)
             out[here, self.torque_size :] = self._charted(ends)
         return out

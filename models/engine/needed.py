@@ -5,6 +5,7 @@ touch itself is no reason: those contacts are left out with a warning, as a robo
 """
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,31 @@ def reasons(scene: Scene) -> list[str]:
     elif model.na:
         found.append("actuators with activations")
     return found
+
+
+def touched(scene: Scene, angles: np.ndarray | None, names: Sequence[str]) -> bool:
+    """Whether a scene touches what stands in the world in some row of its joints' ``angles`` (T, K), by name.
+
+    False without any angles: the poses are not known then.
+    """
+    import mujoco
+
+    model = scene.model
+    seen = [k for k, name in enumerate(names) if name in scene.joint_names]
+    if angles is None or not np.isfinite(angles[:, seen]).any():
+        return False
+    data = mujoco.MjData(model)
+    for row in angles[:, seen]:
+        data.qpos[:] = scene.reference
+        for k, value in zip(seen, row, strict=True):
+            joint = model.dof_jntid[scene.joint_names.index(names[k])]
+            if np.isfinite(value):
+                data.qpos[model.jnt_qposadr[joint]] = value
+        mujoco.mj_fwdPosition(model, data)
+        moving = model.body_weldid[model.geom_bodyid[data.contact.geom[: data.ncon]]] != 0
+        if (moving.any(1) & ~moving.all(1)).any():
+            return True
+    return False
 
 
 def _listed(words: str, names: list[str]) -> str:

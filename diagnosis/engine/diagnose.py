@@ -1,0 +1,300 @@
+"""Diagnose a robot's log by MuJoCo's own engine: contacts, tendons, muscles, closed loops; the result is the usual one.
+
+The commands are known. :mod:`.problem` binds the log, :mod:`.search` looks for causes among :data:`.effects.EFFECTS`,
+and here they become a :class:`.Diagnosis`: probabilities, intervals, what of the gap closes on rows that the numbers
+have not seen, and where the gap lies.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from invdyn.diagnosis.assessment.assemble import nothing_to_say
+from invdyn.diagnosis.assessment.gap_closure import Closed, closed
+from invdyn.diagnosis.assessment.result import Cause as Answer
+from invdyn.diagnosis.assessment.result import (
+    Change,
+    Diagnosis,
+    Estimate,
+    Finding,
+    Gap,
+    Outside,
+    Shrinkage,
+    Visibility,
+    Where,
+)
+from invdyn.diagnosis.assessment.tracks import Tracks
+from invdyn.diagnosis.catalogue.entry import CatalogueEntry
+from invdyn.diagnosis.engine.causes import Cause
+from invdyn.diagnosis.engine.effects import EFFECTS, Candidate, candidates
+from invdyn.diagnosis.engine.problem import EngineLog, engine_log
+from invdyn.diagnosis.engine.search import Found, search
+from invdyn.diagnosis.prediction.predict import Scores
+from invdyn.diagnosis.problem.prior import tempered
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
+from invdyn.models import Scene
+from invdyn.models.divergence import Diverged
+from invdyn.models.effects.base import Effect
+from invdyn.recordings import InputError, Recording
+
+MOST = 3
+"""Effects at once, by default."""
+DRAWS = 4000
+
+
+def diagnose_engine(
+    recording: Recording,
+    scene: Scene,
+    *,
+    passive: bool = False,
+    without: Sequence[str] = (),
+    most: int = MOST,
+    seed: int = 0,
+    rules: Rules = DEFAULT,
+    reasons: Sequence[str] = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose the gap between a log and MuJoCo's simulation of it.
+
+    Args:
+        recording: keypoints at sites, encoders of joints, or both, in m and rad; `torques` by the names of actuators
+            (their controls) and of joints.
+        scene: the simulation, :meth:`.Scene.of` a file.
+        passive: nothing was commanded.
+        without: names of effects to leave out.
+        most: effects at once, at most.
+        seed: of draws and bootstraps.
+        rules: to follow.
+        reasons: why MuJoCo's engine was taken.
+        progress: called with (done, total, what).
+
+    Raises InputError for a recording that does not fit the scene, has no commands, or that the simulation runs away
+    from.
+    """
+    known = {effect.name for effect in EFFECTS}
+    if unknown := [name for name in without if name not in known]:
+        raise InputError(f"unknown effect {unknown[0]!r}: known are {', '.join(sorted(known))}")
+
+    def report(done: int, what: str) -> None:
+        if progress is not None:
+            progress(done, 3, what)
+
+    if (count := recording.num_frames) < rules.recording.min_rows:
+        reason = f"{count} rows are recorded and {rules.recording.min_rows} are needed"
+        return nothing_to_say(recording, scene, seed, passive, reason, rules)
+    if count > rules.recording.max_rows:
+        recording = recording.at(slice(0, rules.recording.max_rows))
+    report(0, "bind")
+    try:
+        log = engine_log(recording, scene, passive=passive, rules=rules)
+        report(1, "screen and refine")
+        every = candidates(scene.model, log.pairs, log.sizes, without)
+        found = search(log, every, most)
+    except Diverged as error:
+        raise InputError(f"{recording.name}: {error}: look at masses, units and the first pose") from error
+    report(2, "describe")
+    result = _assembled(log, found, every, seed, reasons, count)
+    report(3, "done")
+    return result
+
+
+def _assembled(
+    log: EngineLog, found: Found, every: Sequence[Candidate], seed: int, reasons: Sequence[str], rows: int
+) -> Diagnosis:
+    scene, rules, best, none = log.model.scene, log.rules, found.best, found.none
+    joints = log.model.inputs.names
+    shares = _closed(log, none, best, seed)
+    before, after = _residual(log, none), _residual(log, best)
+    rms = np.sqrt((before[0] ** 2).mean(0))
+    large = none.size(log) > rules.evidence.tolerance
+    probability = 1 - found.alone[""]
+    alone, in_part, outside = found.alone, found.in_part, found.outside
+    if not large:
+        alone = {key: value + in_part[key] for key, value in alone.items()}
+        in_part, outside = dict.fromkeys(alone, 0.0), 0.0
+        probability = 1 - alone[""]
+    within = tempered(best.log_evidence(log) - none.log_evidence(log), rules.evidence.temper_scale_within)
+    answers = tuple(
+        Answer(
+            tuple(_findings(log, cause, within, seed)),
+            alone[cause.key],
+            cause.log_evidence(log),
+            float("nan"),
+            in_part[cause.key],
+        )
+        for cause in found.causes
+        if alone[cause.key] + in_part[cause.key] > rules.evidence.min_probability or cause is best
+    )
+    share = (rms / log.typical) ** 2
+    located = dict(zip(joints, (share / max(share.sum(), 1e-300)).tolist(), strict=True))
+    limit = rules.evidence.tolerance * log.typical
+    visible = tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in found.first)
+    seen = {each.key for each in best.effects}
+    return Diagnosis(
+        recording=log.recording.name,
+        body=scene.name,
+        seed=seed,
+        regime=log.regime.name,
+        gap=Gap(
+            probability > 0.5 and large,
+            probability,
+            shares.per_frame,
+            dict(zip(joints, rms.tolist(), strict=True)),
+            {},
+            dict(zip(joints, limit.tolist(), strict=True)),
+        ),
+        where=Where({"dynamics": 1.0, "observation": 0.0}, located, {}, (), ()),
+        shrinkage=Shrinkage(
+            shares.share if best.effects else None,
+            shares.interval if best.effects else None,
+            True,
+            dict(zip(joints, np.sqrt((after[0] ** 2).mean(0)).tolist(), strict=True)),
+        ),
+        joint_names=joints,
+        link_names=scene.link_names,
+        causes=tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part))),
+        ambiguity_set=_ambiguous(answers, rules),
+        separating_experiment=_experiment(found),
+        outside=Outside(outside),
+        not_identifiable=tuple(
+            sorted(each.effect.key for each in found.first if each.dprime < rules.evidence.min_dprime
+                   and each.effect.key not in seen)
+        ),
+        tracks=_tracks(log, none, best, before, after),
+        screened=tuple((each.effect.key, each.log_evidence - none.log_evidence(log)) for each in found.first),
+        visibility=visible,
+        method=_method(log, found, every, reasons, rows),
+        rules=rules,
+    )  # fmt: skip
+
+
+def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and sd (T, K) of the residual torque under the likeliest size."""
+    size, width = cause.likely(log), log.model.inputs.size
+    return cause.filtered.mean[size, :, :width], cause.filtered.sd[size, :, :width]
+
+
+def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Finding]:
+    """Effects with intervals of draws, Gaussian, tempered, within bounds."""
+    rng, scaled = np.random.default_rng(seed), cause.covariance / np.outer(cause.prior_sd, cause.prior_sd)
+    draws = np.zeros((DRAWS, 0))
+    if cause.effects:
+        values, vectors = np.linalg.eigh(scaled)
+        values = np.clip(values, 1e-300, 1.0)
+        wider = np.sqrt(values / (temper + (1 - temper) * values))
+        unit = (rng.standard_normal((DRAWS, len(values))) * wider) @ vectors.T
+        draws = cause.values + cause.prior_sd * unit
+    found, at = [], 0
+    for each in cause.effects:
+        numbers, parameters, changes = each.effect.numbers, {}, {}
+        for number, unit_of in zip(numbers, each.units(log.model.scene.model), strict=True):
+            own = np.clip(draws[:, at], number.low, number.high)
+            low, high = np.quantile(own, [0.05, 0.95])
+            mean, before = float(cause.values[at]), float(cause.prior_mean[at])
+            narrowed = float(own.std() / cause.prior_sd[at])
+            estimate = Estimate(mean, float(own.std()), (float(low), float(high)), unit_of, own, narrowed)
+            parameters[number.name] = estimate
+            changes[number.name] = Change(before, estimate)
+            at += 1
+        entry = CatalogueEntry(
+            Effect, phrase=each.effect.words, meaning=each.effect.meaning, shown_by=each.effect.shown_by,
+            body_file_fields={number.name: number.name for number in numbers},
+            preposition="of" if each.place.kind in ("tendon", "link", "actuator") else "at",
+        )  # fmt: skip
+        where = {each.place.kind: each.place.name}
+        found.append(Finding(each.name, "dynamics", where, parameters, changes, entry))
+    return found
+
+
+def _ambiguous(answers: Sequence[Answer], rules: Rules) -> tuple[tuple[str, ...], ...]:
+    """Causes that together hold most of the probability of all that name one."""
+    named = sorted((each for each in answers if each.effects), key=lambda each: -each.probability)
+    total, mass, rivals = sum(each.probability for each in named), 0.0, list[str]()
+    for each in named:
+        if total <= 0 or mass > rules.evidence.credible_mass * total:
+            break
+        rivals.append("+".join(finding.key for finding in each.effects))
+        mass += each.probability
+    return (tuple(rivals),) if len(rivals) > 1 else ()
+
+
+def _experiment(found: Found) -> str | None:
+    """Recordings that tell the likeliest causes apart."""
+    likely = [each for each in found.causes if found.alone[each.key] + found.in_part[each.key] > 0.05 and each.effects]
+    wanted = list(dict.fromkeys(effect.effect.shown_by for each in likely for effect in each.effects))
+    return f"Record {'; and '.join(wanted)}." if len(likely) > 1 else None
+
+
+def _closed(log: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
+    """Share of the gap that closes on the last third, with the numbers that the first two thirds tell."""
+    rows = log.observations.shape[0]
+    first = int(log.rules.outcome.fit_share * rows)
+    withheld = np.arange(rows) >= first
+    kappa, scores = float(best.kappa[0]), []
+    for cause in (none, best):
+        w, columns = cause.filtered.innovations[0], cause.columns[0]
+        if cause.effects:
+            A, b = columns[:first].reshape(-1, columns.shape[-1]), w[:first].ravel()
+            precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
+            right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
+            w = w + columns @ np.linalg.solve(precision, right)
+        scores.append(_scores(log, cause, w, kappa))
+    return closed(*scores, withheld, log.model.time.numpy(), seed, rules=log.rules)
+
+
+def _scores(log: EngineLog, cause: Cause, w: np.ndarray, kappa: float) -> Scores:
+    """Log densities (T,) of whitened innovations (T, O) at the smallest residual, and what is usual without a gap."""
+    count = (~log.observations.isnan()).sum(-1).numpy()
+    constant = -cause.filtered.log_det[0] - count * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
+    score = constant - 0.5 * (w**2).sum(-1) / kappa**2
+    return Scores(np.where(count > 0, score, np.nan), np.where(count > 0, constant - 0.5 * count, np.nan))
+
+
+def _tracks(
+    log: EngineLog,
+    none: Cause,
+    best: Cause,
+    before: tuple[np.ndarray, np.ndarray],
+    after: tuple[np.ndarray, np.ndarray],
+) -> Tracks:
+    """What figures show; replays are left out."""
+    rows = len(log.observations)
+    states = torch.as_tensor(best.filtered.mean[best.likely(log)])
+    _, tangent, velocity, _ = log.model.split(states)
+    # Coordinates of the residual's joints, which are all.
+    missing = np.full((rows, 0, log.model.scene.dimensions), np.nan)
+    gap = _scores(log, best, best.filtered.innovations[0], float(best.kappa[0])).score
+    gap = gap - _scores(log, none, none.filtered.innovations[0], float(best.kappa[0])).score
+    return Tracks(
+        time=log.recording.time,
+        observed=log.recording.keypoints,
+        keypoint_names=log.recording.keypoint_names,
+        base=np.zeros(log.model.scene.dimensions),
+        command=None,
+        angle=(torch.as_tensor(log.model.reference_angles) + tangent).numpy(),
+        velocity=velocity.numpy(),
+        nominal_replay=missing,
+        corrected_replay=missing,
+        replay_window=FIXED.replay_window,
+        smoothed=missing,
+        residual_before=before[0],
+        residual_before_sd=before[1],
+        residual_after=after[0],
+        residual_after_sd=after[1],
+        frame_gap=gap,
+    )
+
+
+def _method(
+    log: EngineLog, found: Found, every: Sequence[Candidate], reasons: Sequence[str], rows: int
+) -> dict[str, str]:
+    used = len(log.observations)
+    return {
+        "engine": "dynamics by MuJoCo's own step" + (f": {'; '.join(reasons)}" if reasons else ""),
+        "rows": f"the first {used} of {rows} rows" if used < rows else f"{used} rows",
+        "candidates": f"{len(every)} effects at their places; {len(found.causes)} causes refined",
+        "evidence": "by cubature Kalman filters, each about its own numbers; the residual torque's size integrated "
+        "out, noise scale at its most probable",
+        "held out": "the last third of the rows",
+    }

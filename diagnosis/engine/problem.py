@@ -1,0 +1,154 @@
+"""A robot's log bound to MuJoCo's model of it: what was commanded is known, and a residual torque is not.
+
+The model is :class:`.EngineModel` with the commands as given inputs, constant from row to row, and a small unknown
+torque at every joint (Ornstein–Uhlenbeck of the sizes that :mod:`..problem.regime` has, in typical torques). Noise of
+the dynamics is a thousandth of the usual speeds, so that it can follow nothing that matters; noise of the encoders and
+keypoints is what a smooth motion does not explain, and its scale is found with each cause.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.diagnosis.engine.cubature_filter import cubature_filter
+from invdyn.diagnosis.engine.model_numbers import Pair
+from invdyn.diagnosis.engine.sizes import Sizes
+from invdyn.diagnosis.problem.regime import Regime, regimes
+from invdyn.diagnosis.rules import DEFAULT, Rules
+from invdyn.inference.posterior.engine_problem import engine_problem
+from invdyn.models import EngineModel, Scene
+from invdyn.models.engine.contacts import touching_pairs
+from invdyn.models.engine.drives import Given, JointTorques
+from invdyn.models.torques import OrnsteinUhlenbeck
+from invdyn.recordings import InputError, Recording
+
+SPEED_NOISE = 1e-3
+"""Noise of velocities in a row, in usual speeds."""
+SIZES = (1e-4, 3e-3, 3e-2, 0.3)
+"""Of the residual: none, and three that something else would need, in typical torques."""
+
+
+@dataclass(frozen=True)
+class EngineLog:
+    """A log and its model.
+
+    Attributes:
+        model: with the file's own numbers and a residual of one typical torque.
+        observations: (T, O).
+        recording: where the rows come from.
+        regime: what is known of torques.
+        typical: (K,) torques at the residual's joints.
+        sizes: of the motion.
+        pairs: geoms that touch along the data's own path.
+        rules: that are followed.
+    """
+
+    model: EngineModel
+    observations: Tensor
+    recording: Recording
+    regime: Regime
+    typical: np.ndarray
+    sizes: Sizes
+    pairs: tuple[Pair, ...]
+    rules: Rules = DEFAULT
+
+    @property
+    def count(self) -> int:
+        """Numbers that were seen."""
+        return int((~self.observations.isnan()).sum())
+
+    def with_residual(self, size: float, model: EngineModel | None = None) -> EngineModel:
+        """The model with a residual of another ``size``, in typical torques."""
+        model = model or self.model
+        return model.replace(**{"torque.scale": self._scale(size)})
+
+    def _scale(self, size: float) -> Tensor:
+        return torch.as_tensor(size * self.typical * math.sqrt(2 * self.rules.residual.residual_decay))
+
+
+def engine_log(recording: Recording, scene: Scene, *, passive: bool = False, rules: Rules = DEFAULT) -> EngineLog:
+    """Bind a recording to a scene.
+
+    Args:
+        recording: keypoints, angles, or both; `torques` has, by name, controls of the file's actuators and torques of
+            joints that have no actuator of that name. Those that it does not name are zero.
+        scene: the simulation.
+        passive: nothing was commanded, and all is zero.
+        rules: to follow.
+
+    Raises InputError for a recording without commands that is not ``passive``, with names that the scene does not have,
+    or that the scene cannot follow; Diverged for a scene that runs away along it.
+    """
+    given = commands(recording, scene, passive)
+    recording = sensed(recording, scene)
+    names = tuple(dict.fromkeys(scene.model.joint(j).name or f"joint{j}" for j in range(scene.model.njnt)))
+    drive, process = JointTorques(names), OrnsteinUhlenbeck(decay=rules.residual.residual_decay)
+    bound = engine_problem(recording, scene, drive=drive, torque=process)
+    parameters: Mapping[str, Any] = bound.model.parameters
+    time, rows = bound.model.time, bound.observations
+    model = EngineModel(
+        scene, time, bound.model.observation, drive=drive, torque=process, given=given,
+        parameters={name: value for name, value in parameters.items() if not name.startswith("torque.")},
+    )  # fmt: skip
+    start = bound.model.initial_paths(rows)[0]
+    flat = start.numpy()
+    inputs = model.inputs.fields(np.zeros((len(flat), model.inputs.size)), np.arange(len(flat)))
+    sizes = Sizes.of(model.compiled(), model.physics(flat), time.numpy(), inputs, model.inputs.spec)
+    speed = torch.as_tensor(SPEED_NOISE * sizes.dofs[1])
+    interval = float(np.median(np.diff(time.numpy())))
+    model = model.replace(**{"noise.velocity": speed, "noise.angle": speed * interval})
+    regime = replace(regimes(rules)["passive" if passive else "commanded"], levels=SIZES)
+    log = EngineLog(model, rows, recording, regime, sizes.dofs[0], sizes, (), rules)
+    path = cubature_filter(log.with_residual(1.0), rows.numpy(), np.array([regime.path_size])).mean
+    return replace(log, pairs=touching_pairs(model, path))
+
+
+def commands(recording: Recording, scene: Scene, passive: bool) -> Given:
+    """Controls and generalised forces, from each row to the next."""
+    rows = recording.num_frames
+    controls, forces = np.zeros((rows, scene.model.nu)), np.zeros((rows, scene.num_joints))
+    if passive:
+        return Given(controls, forces)
+    torques = recording.torques
+    if torques is None or not np.isfinite(torques).any():
+        raise InputError(
+            f"{recording.name}: expected what was commanded, in columns <actuator>_torque or <joint>_torque, got none: "
+            "a diagnosis by MuJoCo's engine needs it, or --zero-torque"
+        )
+    for k, name in enumerate(recording.joint_names):
+        values = torques[:, k]
+        if not np.isfinite(values).any():
+            continue
+        if not np.isfinite(values).all():
+            raise InputError(f"{recording.name}: {name}_torque is missing in some rows: fill in what was commanded")
+        if name in scene.actuator_names:
+            controls[:, scene.actuator_names.index(name)] = values
+        elif name in scene.joint_names:
+            forces[:, scene.joint_names.index(name)] = values
+        else:
+            raise _unknown(recording, name, scene)
+    return Given(controls, forces)
+
+
+def sensed(recording: Recording, scene: Scene) -> Recording:
+    """What was seen alone, angles of the scene's joints."""
+    if recording.angles is None:
+        return replace(recording, torques=None, joint_names=())
+    seen = [k for k in range(len(recording.joint_names)) if np.isfinite(recording.angles[:, k]).any()]
+    names = tuple(recording.joint_names[k] for k in seen)
+    if unknown := [name for name in names if name not in scene.joint_names]:
+        raise _unknown(recording, unknown[0], scene)
+    angles = recording.angles[:, seen] if seen else None
+    return replace(recording, angles=angles, torques=None, joint_names=names)
+
+
+def _unknown(recording: Recording, name: str, scene: Scene) -> InputError:
+    known = ", ".join(dict.fromkeys((*scene.joint_names, *scene.actuator_names)))
+    return InputError(
+        f"{recording.name}: {name!r} is no joint and no actuator of {scene.name}, which has {known}: rename the column"
+    )

@@ -1,0 +1,121 @@
+"""Typical sizes of a motion at joints and tendons: forces, speeds, accelerations, ways.
+
+Along a path (T, nq + nv + na) with what was commanded, over its rows: forces are the root mean square of the actuators'
+and the applied ones, or of gravity's and the Coriolis forces where those are larger, and at least ``LEAST`` of the
+largest of their unit; speeds, accelerations and ways, half of the range, likewise. A tendon's force is the largest of
+its joints', over its lever.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from invdyn.diagnosis.engine.model_numbers import Place
+from invdyn.models.engine.drives import turning_dofs
+
+LEAST = 0.1
+POSES = 10
+"""Along the path, in which levers of tendons are looked up."""
+OF_JOINTS = 2
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Of a motion, at degrees of freedom (nv,) and tendons (K,).
+
+    Attributes:
+        model: the compiled one.
+        dofs: force, speed, acceleration and way, (4, nv).
+        tendons: force, speed, zero and way, (4, K).
+        extent: m, the size of what moves.
+    """
+
+    model: Any
+    dofs: np.ndarray
+    tendons: np.ndarray
+    extent: float
+
+    def _at(self, kind: int, place: Place) -> float:
+        if place.kind == "tendon":
+            return float(self.tendons[kind, place.number])
+        joint = place.number
+        if place.kind == "equality":
+            first = int(self.model.eq_obj1id[joint])
+            if int(self.model.eq_type[joint]) != OF_JOINTS:
+                return float(self.tendons[kind, first])
+            joint = first
+        return float(self.dofs[kind, self.model.jnt_dofadr[joint]])
+
+    def force(self, place: Place) -> float:
+        """N or N·m."""
+        return self._at(0, place)
+
+    def speed(self, place: Place) -> float:
+        """m/s or rad/s."""
+        return self._at(1, place)
+
+    def acceleration(self, place: Place) -> float:
+        """m/s² or rad/s²."""
+        return self._at(2, place)
+
+    def way(self, place: Place) -> float:
+        """M or rad."""
+        return self._at(3, place)
+
+    @classmethod
+    def of(cls, model: Any, physics: np.ndarray, time: np.ndarray, inputs: np.ndarray, spec: int) -> "Sizes":
+        """Along a path, with inputs (T, C) of ``spec``, bits of ``mujoco.mjtState``."""
+        import mujoco
+
+        data, nq, nv, nt = mujoco.MjData(model), model.nq, model.nv, model.ntendon
+        made, loads = np.zeros((len(physics), nv)), np.zeros((len(physics), nv))
+        lengths, levers = np.zeros((len(physics), nt)), np.zeros((nt, nv))
+        for t, (state, given) in enumerate(zip(physics, inputs, strict=True)):
+            data.qpos[:], data.qvel[:], data.act[:] = np.split(state, [nq, nq + nv])
+            mujoco.mj_setState(model, data, given, spec)
+            mujoco.mj_forward(model, data)
+            made[t], loads[t] = data.qfrc_actuator + data.qfrc_applied, data.qfrc_bias
+            lengths[t] = data.ten_length
+            if t % (len(physics) // POSES + 1) == 0:
+                levers = np.maximum(levers, np.abs(_levers(mujoco, model, data)))
+        speed = physics[:, nq : nq + nv]
+        acceleration = np.gradient(speed, time, axis=0)
+        turns = turning_dofs(model)
+        straight = np.array([model.jnt_type[model.dof_jntid[v]] in (2, 3) for v in range(nv)])
+        way = np.full(nv, 0.1)
+        for v in np.flatnonzero(straight):
+            way[v] = 0.5 * np.ptp(physics[:, model.jnt_qposadr[model.dof_jntid[v]]])
+        each = [np.maximum(_rms(made), _rms(loads)), _rms(speed), _rms(acceleration), way]
+        dofs = np.stack([_floored(values, turns) for values in each])
+        force = np.array([np.max(dofs[0][lever > 0] / lever[lever > 0], initial=0.0) for lever in levers])
+        pace = np.gradient(lengths, time, axis=0) if nt else lengths
+        none = np.ones(nt, bool)
+        tendons = np.stack([
+            force, _floored(_rms(pace), none), np.zeros(nt), _floored(0.5 * np.ptp(lengths, axis=0), none),
+        ]) if nt else np.zeros((4, 0))  # fmt: skip
+        return cls(model, dofs, tendons, float(model.stat.extent))
+
+
+def _levers(mujoco: Any, model: Any, data: Any) -> np.ndarray:
+    """Levers (K, nv) of tendons in a state: their speeds when one coordinate moves at speed one."""
+    out = np.zeros((model.ntendon, model.nv))
+    for v in range(model.nv if model.ntendon else 0):
+        data.qvel[:] = np.eye(model.nv)[v]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        out[:, v] = data.ten_velocity
+    return out
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt((values**2).mean(0))
+
+
+def _floored(values: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """At least ``LEAST`` of the largest of those of the same unit, and more than zero."""
+    out = np.maximum(values, 1e-9)
+    for kind in (turns, ~turns):
+        if kind.any():
+            out[kind] = np.maximum(out[kind], LEAST * out[kind].max())
+    return out

@@ -1,0 +1,122 @@
+"""Numbers that are changed in a compiled model are those of a file with that number, for every effect."""
+
+from pathlib import Path
+
+import linkages
+import mujoco
+import muscled_arms
+import numpy as np
+import pytest
+
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.diagnosis.engine.effects import EFFECTS, candidates
+from invdyn.diagnosis.engine.model_numbers import changed
+from invdyn.diagnosis.engine.sizes import Sizes
+from invdyn.diagnosis.engine.write_back import candidate_of, rewritten
+from invdyn.models import Scene
+
+GROUND = """<mujoco><option timestep="0.002"/><compiler angle="radian"/><worldbody>
+  <geom name="floor" type="plane" size="2 2 .1" friction=".7"/>
+  <body name="leg" pos="0 0 .1"><joint name="up" type="slide" axis="0 0 1"/>
+    <joint name="turn" axis="0 1 0" stiffness="2" springref=".3" damping=".1" armature=".01" frictionloss=".02"/>
+    <inertial pos="0 0 0" mass="1.5" diaginertia=".1 .1 .1"/>
+    <geom name="foot" size=".09" friction=".7"/><geom name="heel" size=".09" pos=".1 0 0" friction=".5"/></body>
+</worldbody><actuator><position name="servo" joint="turn" kp="20" kv="1"/>
+  <position name="slow" joint="turn" kp="2" kv=".1" timeconst=".05"/></actuator></mujoco>"""
+MODELS = {
+    "ground": (GROUND, [(0, 1), (0, 2)]),
+    "holding": (linkages.HOLDING, [(0, 2), (1, 2)]),
+    "rubbing": (linkages.RUBBING, []),
+    "muscles": (muscled_arms.TWO, []),
+}
+
+
+def every(text, pairs):
+    scene = Scene.of(text)
+    model = scene.model
+    sizes = Sizes(model, np.ones((4, model.nv)), np.ones((4, model.ntendon)), 1.0)
+    return scene, candidates(model, pairs, sizes)
+
+
+def pushed(model):
+    """What actuators do at half of their control."""
+    data = mujoco.MjData(model)
+    data.ctrl[:], data.act[:] = 0.5, 0.3
+    mujoco.mj_forward(model, data)
+    return data.qfrc_actuator
+
+
+def findings(model, candidate, step=0.2):
+    before, sds = candidate.priors(model, Sizes(model, np.ones((4, model.nv)), np.ones((4, model.ntendon)), 1.0))
+    values = [
+        float(np.clip(b + step * s, n.low, n.high))
+        for b, s, n in zip(before, sds, candidate.effect.numbers, strict=True)
+    ]
+    parameters = {n.name: Estimate(v, 0.1, (v, v), "1") for n, v in zip(candidate.effect.numbers, values, strict=True)}
+    return Finding(candidate.name, "dynamics", {candidate.place.kind: candidate.place.name}, parameters), values
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_written_is_what_was_changed(name):
+    text, pairs = MODELS[name]
+    scene, found = every(text, pairs)
+    model, written = scene.model, set()
+    for candidate in found:
+        finding, values = findings(model, candidate)
+        assert candidate_of(model, finding).place.name == candidate.place.name
+        new, done, unsaid = rewritten(text.encode(), scene, Cause((finding,), 1.0, 0.0, 0.0))
+        if unsaid:
+            assert not done
+            assert new == text.encode()
+            continue
+        written.add(candidate.name)
+        writes = [(n.write, candidate.place, v) for n, v in zip(candidate.effect.numbers, values, strict=True)]
+        wanted, got = changed(model, writes), Scene.of(new.decode()).model
+        differing = 0
+        # A gain is written as a gear: the same force, by other fields.
+        skipped = ("cam_", "light_") + (("actuator_",) if candidate.name == "actuator_gain" else ())
+        for field in dir(model):
+            one, two, before = (getattr(each, field, None) for each in (wanted, got, model))
+            if isinstance(one, np.ndarray) and one.dtype == np.float64 and not field.startswith(skipped):
+                assert two == pytest.approx(one, rel=2e-5, abs=1e-6), (candidate.key, field)
+                differing += not np.array_equal(one, before)
+        assert differing or candidate.name == "actuator_gain", candidate.key
+        assert pushed(got) == pytest.approx(pushed(wanted), rel=1e-4), candidate.key
+    assert len(written) >= {"ground": 12, "holding": 13, "rubbing": 9, "muscles": 6}[name], sorted(written)
+
+
+def test_every_effect_is_somewhere():
+    seen = {each.name for text, pairs in MODELS.values() for each in every(text, pairs)[1]}
+    assert seen == {effect.name for effect in EFFECTS}
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "leg_on_the_floor.md").read_text("utf-8")
+    assert all(f"`{name}`" in page for name in seen)
+
+
+def test_friction_of_a_pair_is_the_larger_one():
+    """Lowered at both shapes, raised at the one that has it; what touches alone is changed."""
+    scene, found = every(GROUND, [(0, 1), (0, 2)])
+    for name, value, expected in (
+        ("floor-foot", 0.4, [0.4, 0.4, 0.5]),
+        ("floor-foot", 0.9, [0.9, 0.9, 0.5]),
+        ("floor-heel", 0.6, [0.6, 0.7, 0.5]),
+        ("floor-foot, floor-heel", 0.3, [0.3, 0.3, 0.3]),
+    ):
+        (candidate,) = (each for each in found if each.key == f"contact_friction.{name}")
+        (number,) = candidate.effect.numbers
+        assert changed(scene.model, [(number.write, candidate.place, value)]).geom_friction[:, 0] == pytest.approx(
+            expected
+        )
+
+
+def test_sizes_are_those_of_the_motion():
+    model = mujoco.MjModel.from_xml_string(linkages.HOLDING)
+    time = np.arange(50) * 0.01
+    physics = np.zeros((50, 6))
+    physics[:, 0] = physics[:, 1] = 0.01 * np.sin(10 * time)
+    physics[:, 3] = physics[:, 4] = 0.1 * np.cos(10 * time)
+    inputs = np.tile([4.0, 0.0], (50, 1))
+    sizes = Sizes.of(model, physics, time, inputs, int(mujoco.mjtState.mjSTATE_CTRL))
+    assert sizes.dofs[0, :2] == pytest.approx(2.0)  # half of the tendon's force
+    assert sizes.tendons[0, 0] >= 4.0
+    assert sizes.tendons[3, 0] == pytest.approx(0.01, rel=0.1)
+    assert sizes.dofs[2, 0] == pytest.approx(0.72, rel=0.1)
