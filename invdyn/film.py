@@ -209,7 +209,7 @@ def still_parts(
 ) -> tuple[Figure, list[Axes], list[Axes]]:
     """Figure with the arm's axes, one a view, and each joint's torque over time; everything but what moves.
 
-    Axes are cropped to where the arm goes; over a ``film``, (height, width) px, they stay within its pictures.
+    Axes are cropped to where the arm moves; over a ``film``, (height, width) px, they stay within its pictures.
     """
     joints = idata["posterior"]["joint"].values
     time = idata["posterior"]["time"].values

@@ -148,8 +148,8 @@ class LabelServer(ThreadingHTTPServer):
     def leave(self, page: object, done: bool) -> dict[str, int]:
         """A page was closed, or its user is done; the number of others that are open.
 
-        Where one page is done, the end waits until no page is open: labels of another page would be lost. One that says
-        done again is believed.
+        Where one page is done, the server ends when no page is open, so that no labels of another page are missing. One
+        that says done again is believed.
         """
         with self._counting:
             again = done and page not in self.pages

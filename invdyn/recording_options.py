@@ -91,7 +91,7 @@ class Recorded:
     def check_exist(self) -> None:
         """Raise FileNotFoundError for a file that is nowhere, before anything large is imported.
 
-        Raises InputError unless there is a body file, or all that is asked for of a person.
+        Raises InputError unless there is a body file, or all numbers that a person needs.
         """
         from invdyn.recordings import InputError
 

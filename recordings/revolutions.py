@@ -1,6 +1,6 @@
 """Wrapped encoders: an angle that starts again at −π when it passes π, or at 0 after a whole revolution.
 
-Such an angle never leaves an interval of 2π, and steps by almost 2π where the joint goes on as before. Whole
+Such an angle never leaves an interval of 2π, and steps by almost 2π where the joint moves as before. Whole
 revolutions are added after each step of more than `STEP` of one (Itoh 1982, Appl. Opt. 21, 2470, for phases).
 """
 

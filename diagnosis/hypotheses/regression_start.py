@@ -2,7 +2,7 @@
 
 A real robot lacks an effect everywhere, and a search that adds one at a time pays for each as for a fault of its own.
 Where a regression (:mod:`..regression.regress`) of a robot's log states an effect at every joint, its set is refined
-first, and the search goes on from there. Such an effect counts as one statement in the prior
+first, and the search continues from there. Such an effect counts as one statement in the prior
 (:func:`.prior.log_prior_of`).
 """
 

@@ -178,7 +178,7 @@ def _refine_tracker_errors(found: HypothesisPool) -> None:
 
 
 def extend(found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Refine the few most promising effects beside what a regression found; none is swapped for its neighbours."""
+    """Refine the few most promising effects with what a regression found; none is swapped for its neighbours."""
     screened = screened_with(found, base)
     found.first = found.first or screened
     refine_best(found, base, screened, found.rules.search.max_candidates_exchanged)

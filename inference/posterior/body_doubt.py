@@ -17,7 +17,7 @@ states an uncertainty are integrated out by :mod:`invdyn.inference.marginalise` 
 in the motion: commands that are known, or lengths before keypoints.
 
     m ~ LogNormal of relative sd `MASS`              c ~ N(c̄, (`CENTRE` s)²) along each axis, s a link's size
-    moments all times LogNormal of sd `MOMENT`       g turned by N(0, `LEVEL`²) about each level axis
+    moments all times LogNormal of sd `MOMENT`       g rotated by N(0, `LEVEL`²) about each level axis
 
 Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
 """

@@ -164,7 +164,7 @@ def untold(model: EngineModel, drive: np.ndarray) -> list[str]:
 
 
 def contact_lines(force: np.ndarray, names: Sequence[str], ground: np.ndarray) -> list[str]:
-    """What is known of each contact (N, T, P, 3), and whether the split among those with the ground is not told."""
+    """What is known of each contact (N, T, P, 3), and whether the split between those with the ground is unknown."""
     lines = []
     size = np.linalg.norm(force, axis=-1)  # (N, T, P)
     for k, name in enumerate(names):

@@ -3,7 +3,7 @@
 * the keypoints' noise from what a smooth motion cannot explain (:mod:`.jitter`);
 * the first row's configuration and velocities by inverse kinematics (:mod:`invdyn.models.engine.inverse_kinematics`);
 * the drive: the file's actuators where it has muscles, else torques at all hinges and slides, but those that stand for
-  a moving base: slides of bodies on the world, and the hinges beside them.
+  a moving base: slides of bodies on the world, and the hinges next to them.
 """
 
 from collections.abc import Mapping, Sequence

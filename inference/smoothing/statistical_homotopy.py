@@ -1,7 +1,7 @@
 """The Gaussian smoother of dynamics with kinks: statistical linearisation under process noise that is tightened.
 
 Contacts make the transition f a function of several smooth pieces. A tangent at a path knows one piece, and
-Gauss–Newton goes back and forth between them. The best linear fit over a Gaussian (:mod:`.posterior_linearisation`;
+Gauss–Newton moves back and forth between them. The best linear fit over a Gaussian (:mod:`.posterior_linearisation`;
 García-Fernández, Svensson & Särkkä, "Iterated posterior linearization smoother", IEEE Trans. Automatic Control 62,
 2017) averages over the pieces,
 

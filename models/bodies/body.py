@@ -1,6 +1,6 @@
 """Bodies: trees of rigid links, each scalar of them a number, a prior or a learned parameter.
 
-A link hangs on its parent, or on the world, by a joint (`joints.py`). The joint's frame lies at `origin` m, turned by
+A link hangs on its parent, or on the world, by a joint (`joints.py`). The joint's frame lies at `origin` m, rotated by
 `rotation`, in the parent's frame; the link's own frame is the joint's, moved. In it lie the centre of mass `com` m, the
 `inertia` kg·m² about that (xx, yy, zz, xy, xz, yz) and `sites`, named points, m, that keypoints show.
 

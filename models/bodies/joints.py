@@ -1,6 +1,6 @@
 """Joints: how a link may move against its parent, as a row of elementary hinges and slides.
 
-A joint's frame is placed in its parent link's frame; the link's own frame is the joint's, moved, and then turned by a
+A joint's frame is placed in its parent link's frame; the link's own frame is the joint's, moved, and then rotated by a
 constant `reference` (none, mostly). Types, with their coordinates (rad, m):
 
     hinge        a turn about `axis`                          slide        a shift along `axis`

@@ -1,6 +1,6 @@
 """Rotations as numbers: matrices out of axes, quaternions and roll–pitch–yaw.
 
-A rotation R (3, 3) has the axes of the turned frame as its columns, so that v_outer = R v_inner. Quaternions are
+A rotation R (3, 3) has the axes of the rotated frame as its columns, so that v_outer = R v_inner. Quaternions are
 (w, x, y, z), angles are rad, roll–pitch–yaw are URDF's: R = Rz(yaw) Ry(pitch) Rx(roll). What is within 1e-12 of 0 or
 ±1 becomes it: right angles are meant, and structural zeros make the dynamics short.
 """

@@ -15,7 +15,7 @@ of the body's numbers p: in the plane p.length of shape (M, 1, K) broadcasts wit
     r    (..., S, d)   sites, m, in the recording's frame
 
 A subclass writes the abstract methods; the others follow from them, by forward-mode derivatives of the sites where
-those of a motion are asked for, and may be written out where that is faster.
+those of a motion are needed, and may be written out where that is faster.
 """
 
 import warnings
