@@ -128,17 +128,12 @@ class LiveArm:
         """Take the row of ``time``, s, and return the answers that are due.
 
         Raises InputError for a time that is no number of seconds, for a row none of whose names is known, and for one
-        without a command before the first that has it.
+        without a command before the first that has it. Such a row changes nothing, and the next one may come.
         """
         if not abs(time) < LAST_TIME:
             raise InputError(f"expected the time of a row in seconds, got {time}")
         if not values.keys() & {*self.columns, *self.commands}:
             raise InputError(f"expected a row with columns among {', '.join(self.columns)}, got {', '.join(values)}")
-        self._first = time if self._first is None else self._first
-        step = round((time - self._first) * self.fps)
-        found: list[Smoothed] = []
-        if abs(step - self.smoother.next) > MAX_GAP * self.fps:
-            found += self.smoother.restart(step)
         y, own = (_finite(values, names) for names in (self.columns, self.commands))
         command = np.where(np.isnan(own), self._command, own)
         if missing := [name for name, value in zip(self.commands, command, strict=True) if math.isnan(value)]:
@@ -146,6 +141,11 @@ class LiveArm:
                 f"expected {', '.join(missing)} from the first row on, as the calibration has commands, got none: "
                 "send it, or hide the commands (--hide-torque)"
             )
+        self._first = time if self._first is None else self._first
+        step = round((time - self._first) * self.fps)
+        found: list[Smoothed] = []
+        if abs(step - self.smoother.next) > MAX_GAP * self.fps:
+            found += self.smoother.restart(step)
         late = step < self.smoother.next
         self._command = self._command if late else command  # what comes late does not stand
         inputs = None if not self.commands or (late and np.isnan(own).any()) else command

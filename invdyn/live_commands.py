@@ -17,6 +17,8 @@ from .settings import Setting, with_settings
 
 PACKET = 65536
 """Bytes of a UDP packet at most."""
+NAMED = 5
+"""Rows that cannot be used which are named; all are counted."""
 
 
 def register(command: Callable[..., Any]) -> None:
@@ -67,19 +69,44 @@ def live(
         report = stage(bar, "fit")
         following = LiveArm(reading.recording, arm, lag=lag, hide_torque=hide_torque, hours=hours, report=report)
     names = ["time", *following.columns, *following.commands]
+    refused: list[InputError] = []
+
+    def refuse(error: InputError) -> None:
+        if udp is None:  # a file and a pipe lose nothing: the sender errs
+            raise error from None
+        refused.append(error)
+        if len(refused) <= NAMED:
+            print_line("warning", f"left out: {error}")
+
     with (
         nullcontext(sys.stdin) if source == "-" else Path(source).open(encoding="utf-8", errors="replace") as lines,
         nullcontext(sys.stdout) if out is None else out.open("w", encoding="utf-8") as sheet,
         suppress(KeyboardInterrupt),  # as a run without an end is ended
     ):
-        given = rows(iter(lines) if udp is None else _packets(address, udp), names)
-        _write(following, following.follow(given), sheet)
+        given = iter(lines) if udp is None else _packets(address, udp)
+        _write(following, answers(following, given, names, refuse), sheet)
     counts = following.smoother.counts
     print_line(
         "live",
         f"{counts.rows} rows answered, {counts.lost} lost, {counts.late} too late, {counts.doubled} doubled, "
-        f"{counts.restarts} restarts",
+        f"{counts.restarts} restarts" + (f", {len(refused)} left out as they cannot be used" if refused else ""),
     )
+
+
+def answers(following: Any, source: Iterator[str], names: list[str], refuse: Callable[[Any], None]) -> Iterator[Any]:
+    """Answers of a :class:`invdyn.inference.LiveArm` to lines; ``refuse`` is called with the InputError of a line that
+    cannot be used, and raises it or lets the next one come.
+    """
+    from invdyn.recordings import InputError
+
+    for time, values in rows(source, names, refuse):
+        try:
+            found = following.add(time, values)
+        except InputError as error:
+            refuse(error)
+        else:
+            yield from found
+    yield from following.finish()
 
 
 def _write(following: Any, answers: Iterator[Any], sheet: IO[str]) -> None:
@@ -96,10 +123,12 @@ def _write(following: Any, answers: Iterator[Any], sheet: IO[str]) -> None:
             print_line("warning", f"at {row.time:.3f} s the body has changed, or moves otherwise than calibrated")
 
 
-def rows(source: Iterator[str], names: list[str]) -> Iterator[tuple[float, dict[str, float]]]:
+def rows(
+    source: Iterator[str], names: list[str], refuse: Callable[[Any], None]
+) -> Iterator[tuple[float, dict[str, float]]]:
     """Times and values of lines: JSON objects, or CSV in the order of a header or, without one, of ``names``.
 
-    Raises InputError, naming the line, for one that is neither.
+    ``refuse`` is called with an InputError that names the line, for one that is neither.
     """
     from invdyn.recordings import InputError
 
@@ -117,10 +146,13 @@ def rows(source: Iterator[str], names: list[str]) -> Iterator[tuple[float, dict[
                 values = dict(zip(names, map(_number, cells), strict=True))
             time = values.pop("time")
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            raise InputError(
-                f"line {number}: expected {len(names)} numbers ({', '.join(names)}) or a JSON object with a time, "
-                f"got {line[:60]!r}"
-            ) from None
+            refuse(
+                InputError(
+                    f"line {number}: expected {len(names)} numbers ({', '.join(names)}) or a JSON object with a time, "
+                    f"got {line[:60]!r}"
+                )
+            )
+            continue
         yield time, values
 
 

@@ -10,8 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from invdyn.cli import app
-from invdyn.live_commands import rows
-from invdyn.recordings import InputError, read_table
+from invdyn.inference import LiveArm
+from invdyn.inputs import load_body
+from invdyn.live_commands import answers, rows
+from invdyn.recordings import InputError, read_keypoint_csv, read_table
 
 
 @pytest.fixture(name="there")
@@ -47,24 +49,34 @@ def test_standard_input_and_output(there):
     assert len(lines) == 50
 
 
-def test_packets_in(there, run):
-    """JSON by UDP, until an empty packet."""
+def send(packets, done, port):
+    """Send packets to a port, again and again: what is sent before the command listens is lost."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        while not done.is_set():
+            for packet in packets:
+                sender.sendto(packet, ("127.0.0.1", port))
+                time.sleep(0.002)
+            time.sleep(0.2)
+
+
+def test_bad_packets_are_named_and_the_others_answered(there, run):
+    """JSON by UDP, until an empty packet; among them a cut one, one without a time, one of no number, one of others."""
     header, *lines = (there / "now.csv").read_text().splitlines()
-    packets = [json.dumps(dict(zip(header.split(","), map(float, line.split(",")), strict=True))) for line in lines]
+    made = [json.dumps(dict(zip(header.split(","), map(float, line.split(",")), strict=True))) for line in lines]
+    packets = [packet.encode() for packet in made]
+    bad = [
+        packets[3][:40],
+        b'{"elbow_x": 1}',
+        b'{"time": NaN, "elbow_x": 1}',
+        b'{"time": 0.1, "knee_x": 1}',
+        b"\xff\x00",
+    ]
+    packets = [*packets[:20], *bad, b"1,2", *packets[20:], b""]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     done = threading.Event()
-
-    def send():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not done.is_set():  # what is sent before the command listens is lost
-                for packet in [*packets, ""]:
-                    sender.sendto(packet.encode(), ("127.0.0.1", port))
-                    time.sleep(0.002)
-                time.sleep(0.2)
-
-    thread = threading.Thread(target=send)
+    thread = threading.Thread(target=send, args=(packets, done, port))
     thread.start()
     try:
         outcome = run(*LIVE, "--udp", str(port), "--out", "answers.csv")
@@ -72,18 +84,43 @@ def test_packets_in(there, run):
         done.set()
         thread.join()
     assert outcome.exit_code == 0, outcome.stderr
-    assert "rows answered" in outcome.stderr
+    assert "6 left out as they cannot be used" in outcome.stderr
+    assert outcome.stderr.count("warning: left out: ") == 5  # the others are counted
+    assert "expected the time of a row in seconds, got nan" in outcome.stderr
+    found, _ = read_table(there / "answers.csv")
+    assert found["time"][-1] == pytest.approx(49 / 50)
+    assert len(found["time"]) >= 30
+
+
+def raised(error):
+    raise error
+
+
+def test_a_bad_line_of_a_port_changes_no_answer(there):
+    body, given = load_body("paper_planar_arm"), (there / "now.csv").read_text().splitlines()
+    live = LiveArm(read_keypoint_csv(there / "before.csv"), body)
+    names, refused = ["time", *live.columns], []
+    whole = list(answers(live, iter(given), names, raised))
+    live.forget()
+    spoiled = ['{"time": 1e300, "elbow_x": 1}', *given[:9], "\x00", '{"time": 0.1, "knee_x": 1}', *given[9:]]
+    again = list(answers(live, iter(spoiled), names, refused.append))
+    assert len(refused) == 3
+    assert str(refused[1]).startswith("line 11: expected 5 numbers")
+    assert len(again) == len(whole) == 50
+    for one, other in zip(again, whole, strict=True):
+        assert one.time == other.time
+        np.testing.assert_array_equal(one.torque, other.torque)
 
 
 def test_a_line_is_csv_or_json():
-    read = list(rows(iter(["a,time\n", "1,0.5\n", "\n", '{"time": 1, "a": null}\n', ",2\n"]), ["time", "a"]))
+    read = list(rows(iter(["a,time\n", "1,0.5\n", "\n", '{"time": 1, "a": null}\n', ",2\n"]), ["time", "a"], raised))
     assert [time for time, _ in read] == [0.5, 1.0, 2.0]
     assert [values["a"] for _, values in read] == pytest.approx([1.0, np.nan, np.nan], nan_ok=True)
-    assert list(rows(iter(["0.1,2"]), ["time", "a"])) == [(0.1, {"a": 2.0})]
+    assert list(rows(iter(["0.1,2"]), ["time", "a"], raised)) == [(0.1, {"a": 2.0})]
 
 
 def test_a_file_may_begin_with_a_mark():
-    assert list(rows(iter(["\ufefftime,a\n", "0.1,2\n"]), ["time", "b"])) == [(0.1, {"a": 2.0})]
+    assert list(rows(iter(["\ufefftime,a\n", "0.1,2\n"]), ["time", "b"], raised)) == [(0.1, {"a": 2.0})]
 
 
 def test_a_unix_time_keeps_its_milliseconds(there, run):
@@ -113,4 +150,4 @@ def test_what_cannot_be_read_is_one_line(there, run):
 )
 def test_other_lines_are_refused(line):
     with pytest.raises(InputError, match="line 1: expected 2 numbers"):
-        list(rows(iter([line]), ["time", "a"]))
+        list(rows(iter([line]), ["time", "a"], raised))
