@@ -217,10 +217,11 @@ def cutoff_of(motion: MeasuredMotion) -> float:
     step = float(np.median(np.diff(motion.time)))
     window = np.hanning(longest.sum())[:, None]
     power = np.abs(np.fft.rfft(motion.qd[longest] * window, axis=0)) ** 2
-    share = power.cumsum(0) / np.maximum(power.sum(0), 1e-300)
+    moving = power[:, power.sum(0) > 0]  # a joint at rest there has no frequency
+    share = moving.cumsum(0) / moving.sum(0)
     frequency = np.fft.rfftfreq(int(longest.sum()), step)
     moves = [frequency[np.searchsorted(column, FIXED.velocity_power)] for column in share.T]
-    return float(min(max(FIXED.cutoff_factor * max(moves), FIXED.min_cutoff), 0.4 / step))
+    return float(min(max(FIXED.cutoff_factor * max(moves, default=0.0), FIXED.min_cutoff), 0.4 / step))
 
 
 def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.ndarray:

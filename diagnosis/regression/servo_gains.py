@@ -7,9 +7,10 @@ which no expansion about the file's gain describes. So a regression is made abou
 
 It is a regression of s on τ, and not of τ on s, as all that the file lacks moves s and not τ (instrumental variables).
 Where τ says the same as X, as at a hinge that no gravity loads, it is γ that counts: X has a small weight.
-The true gain is K/γ. Within a factor of two of the file's it stays 1, and the regression itself finds the rest. Rows in
-which the file's servo would be at its limits either tell nothing, or are like others, as its gain is less. Of the two,
-that is taken which leaves less of what the servo then gives, s/γ within its limits.
+A robot's servos are alike: where the log says nothing of one, and most others differ from the file, its γ is their
+median. The true gain is K/γ. Within a factor of two of the file's it stays 1, and the regression itself finds the rest.
+Rows in which the file's servo would be at its limits either tell nothing, or are like others, as its gain is less. Of
+the two, that is taken which leaves less of what the servo then gives, s/γ within its limits.
 
 Shapes: R rows, K joints. Units: rad, s, N·m.
 """
@@ -39,7 +40,7 @@ class ServoGains:
 def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> ServoGains:
     """Gains of a body's position servos, from what its file asks of all joints, ``required`` (R, K)."""
     every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
-    factor = np.ones(len(every))
+    factor, unknown = np.ones(len(every)), np.zeros(len(every), bool)
     for k, parts in enumerate(every):
         if parts is None or (servo := parts.servo) is None or servo.kind != "position":
             continue
@@ -49,8 +50,12 @@ def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> Serv
         rows = [(given > servo.low) & (given < servo.high), np.ones(len(qd), bool)]
         fits = [_regressed(X, demanded, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
         _, gamma = min(fits, default=(0.0, 1.0))
+        unknown[k] = gamma <= 0
         if gamma > 0 and abs(math.log(gamma)) > FIXED.linear_servo_gain:
             factor[k] = gamma
+    changed = factor != 1.0
+    if changed.sum() > len(every) / 2:
+        factor[unknown] = np.exp(np.median(np.log(factor[changed])))
     return ServoGains(factor)
 
 

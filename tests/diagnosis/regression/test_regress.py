@@ -1,6 +1,7 @@
 """The regression of torques against motions whose effects are known, with encoders' noise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -340,6 +341,24 @@ def test_a_servos_gain_at_a_hinge_that_no_gravity_loads(times):
     assert (
         servo_gains(measured_motion(rows, body, passive=True), seen.q, body).factor == 1.0
     )  # no torque: nothing to say
+
+
+@pytest.mark.parametrize(("true", "expected"), [((50.0, 40.0, -1.0), 44.7), ((50.0, 1.0, -1.0), 1.0)])
+def test_a_servo_that_the_log_does_not_show_is_like_most_others(true, expected):
+    """Of the third joint no positive gain fits; it takes the median of the others where most of all are far off."""
+    rng = np.random.default_rng(0)
+    required, qd, qdd = rng.standard_normal((3, 400, 3))
+    seen = SimpleNamespace(qd=qd, qdd=qdd, demanded=required * true, servo_drag=np.zeros((400, 3)))
+    body = SimpleNamespace(joint_parts=[JointParts(motor=Motor("position", 60.0, 60.0))] * 3, num_joints=3)
+    assert servo_gains(seen, required, body).factor[2] == pytest.approx(expected, rel=0.01)
+
+
+def test_a_joint_at_rest_in_the_longest_recording_has_no_frequency():
+    moving, body = servo_log(20, 40.0, seconds=6.0)
+    longer, _ = servo_log(21, 40.0)
+    resting = replace(longer, angles=longer.angles * [1.0, 0.0])
+    assert resting.num_frames > moving.num_frames
+    assert cutoff_of(measured_motion([moving, resting], body)) > 0
 
 
 def test_a_servo_that_cannot_have_moved_the_arm_explains_nothing():
