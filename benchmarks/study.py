@@ -1,7 +1,7 @@
 """Studies of simulated trials: what they cost, whether intervals hold the truth, what sharing gains, kills at any time.
 
     python benchmarks/study.py size             180 trials: 3 subjects, 3 sessions, 2 conditions, one bad session
-    python benchmarks/study.py coverage         100 small studies, half of them without an effect
+    python benchmarks/study.py coverage         100 small studies with an effect at one joint and none at the other
     python benchmarks/study.py pooling          the same of 400 studies whose trials' estimates are drawn, not inferred
     python benchmarks/study.py kill             one study, killed ten times and resumed
 
@@ -19,10 +19,12 @@ import tempfile
 import time
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from kept import kept
 
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.posterior.functionals import path_functionals
@@ -53,8 +55,8 @@ def lift(time, begin):
     return np.sin(np.pi * np.clip((time - begin) / LIFT, 0, 1)) ** 2
 
 
-def simulate(seed, subjects, sessions, trials, rows, fps, effect=EFFECT, bad=None):
-    """Trials with names, and by name their true torques (T, K) and noise."""
+def simulate(seed, subjects, sessions, trials, rows, fps, effect=EFFECT, bad=None, where=(1.0, 1.0)):
+    """Trials with names, and by name their true torques (T, K) and noise; the effect is that share at each joint."""
     rng, found, truths = np.random.default_rng(seed), [], {}
     time_of = np.arange(rows) / fps
     for subject in range(subjects):
@@ -65,7 +67,7 @@ def simulate(seed, subjects, sessions, trials, rows, fps, effect=EFFECT, bad=Non
                 condition = number % 2
                 name = f"{subject}-{session}-{number}"
                 begin = 0.1 + 0.1 * rng.random()
-                own = size * (1 + gain * condition) * (1 + rng.normal(0, TRIAL_DIFFERS))
+                own = size * (1 + gain * condition * np.array(where)) * (1 + rng.normal(0, TRIAL_DIFFERS))
                 model = ArmModel(
                     BODY,
                     time_of,
@@ -173,33 +175,39 @@ def peaks(study, truths):
     print(f"| true peaks of trials within their 90 % intervals | {np.mean(held):.2f} of {len(held)} |")
 
 
-def coverage(count):
-    """Intervals of small studies: 3 subjects, 2 conditions of 3 trials, 30 rows; every second one without an effect."""
+def coverage(count, results):
+    """Intervals of small studies by full inference: 3 subjects, 2 conditions of 2 trials, 24 rows.
+
+    The condition raises the shoulder's torque and leaves the elbow's, so each study has an effect and none.
+    """
     how = How(sizes=SMCOptions(num_filters=32, num_draws=4))
-    truth, held, width, found = true_effect(30, 25.0, EFFECT), [], [], {True: [], False: []}
-    begun = time.process_time()
-    for seed in range(count):
-        with_effect = seed % 2 == 0
-        made, _ = simulate(1000 + seed, 3, 1, 3, 30, 25.0, EFFECT if with_effect else 0.0)
-        own = run_study(made, how).difference().set_index(["joint", "quantity"]).loc[("shoulder", "peak")]
-        held.append(own.q05 <= (truth if with_effect else 0.0) <= own.q95)
-        found[with_effect].append(own.found)
-        width.append(own.q95 - own.q05)
-        print(
-            seed,
-            with_effect,
-            held[-1],
-            f"{own['mean']:.3f} {own.q05:.3f} {own.q95:.3f}",
-            found[with_effect][-1],
-            file=sys.stderr,
-            flush=True,
-        )
-    print("\n| effect on the shoulder's peak torque | |\n|---|---|")
-    print(f"| 90 % intervals that hold the truth | {np.mean(held):.2f} of {count} |")
-    print(f"| their mean width, N·m, of an effect of {truth:.3f} | {np.mean(width):.3f} |")
-    print(f"| effect found where there is one | {np.mean(found[True]):.2f} of {len(found[True])} |")
-    print(f"| effect found where there is none | {np.mean(found[False]):.2f} of {len(found[False])} |")
-    print(f"| CPU s a study of 18 trials | {(time.process_time() - begun) / count:.1f} |")
+    truth = {"shoulder": true_effect(24, 25.0, EFFECT), "elbow": 0.0}
+
+    def one(seed):
+        begun = time.process_time()
+        made, _ = simulate(seed, 3, 1, 2, 24, 25.0, where=(1.0, 0.0))
+        found = run_study(made, how).difference().set_index(["joint", "quantity"])
+        cells = {name: found.loc[(name, "peak")] for name in truth}
+        numbers = {name: [own["mean"], own.q05, own.q95, float(own.found)] for name, own in cells.items()}
+        return {"seconds": time.process_time() - begun, **numbers}
+
+    lines = [kept(results, f"study {seed}", partial(one, seed)) for seed in range(1000, 1000 + count)]
+    print("| effect of the condition on the peak torque of the | shoulder | elbow |\n|---|---|---|")
+    cells = {name: np.array([line[name] for line in lines], dtype=float) for name in truth}
+    for what, number in (
+        ("truth, N·m", lambda name: f"{truth[name]:.3f}"),
+        ("mean of the estimates, N·m", lambda name: f"{cells[name][:, 0].mean():.3f}"),
+        ("their sd, N·m", lambda name: f"{cells[name][:, 0].std():.3f}"),
+        ("width of the 90 % interval, N·m", lambda name: f"{(cells[name][:, 2] - cells[name][:, 1]).mean():.3f}"),
+        ("90 % intervals that hold the truth", lambda name: f"{inside(cells[name], truth[name])} of {len(lines)}"),
+        ("effect found", lambda name: f"{cells[name][:, 3].sum():.0f} of {len(lines)}"),
+    ):
+        print(f"| {what} | {number('shoulder')} | {number('elbow')} |")
+    print(f"| CPU s of a study of 12 trials | {np.mean([line['seconds'] for line in lines]):.1f} | |")
+
+
+def inside(cells, truth):
+    return int(((cells[:, 1] <= truth) & (truth <= cells[:, 2])).sum())
 
 
 def pooling(count):
@@ -282,12 +290,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = {
         "size": size,
-        "coverage": lambda: coverage(options.studies),
+        "coverage": lambda: coverage(options.studies, options.results),
         "pooling": lambda: pooling(400),
         "kill": lambda: kill(options.kills),
     }
     parser.add_argument("what", choices=parts, nargs="*", default=list(parts))
     parser.add_argument("--studies", type=int, default=100)
+    parser.add_argument("--results", type=Path, default=Path("build/study.jsonl"), help="small studies that are done")
     parser.add_argument("--kills", type=int, default=10)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
