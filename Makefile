@@ -41,12 +41,12 @@ lint: $(VENV)/.development
 	$(BIN)/mypy
 
 # A notebook is executed again when its text has changed.
-TUTORIALS := $(patsubst notebooks/%.py,docs/tutorials/%.ipynb,$(wildcard notebooks/0*.py))
+TUTORIALS := $(patsubst notebooks/%.py,docs/tutorials/%.ipynb,$(wildcard notebooks/[0-9]*.py))
 notebooks: $(TUTORIALS)
 
 docs/tutorials/%.ipynb: notebooks/%.py | $(VENV)/.development
 	$(BIN)/jupytext --quiet --to ipynb --output $@.tmp.ipynb $<
-	sed -i.bak -e 's#(\.\./docs/#(../#g' -e 's#(\(0[0-9]_[a-z_]*\)\.py)#(\1.ipynb)#g' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # as seen from docs/tutorials
+	sed -i.bak -e 's#(\.\./docs/#(../#g' -e 's#(\([0-9][0-9]_[a-z_]*\)\.py)#(\1.ipynb)#g' $@.tmp.ipynb && rm $@.tmp.ipynb.bak  # as seen from docs/tutorials
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/jupyter-execute --inplace $@.tmp.ipynb
 	mv $@.tmp.ipynb $@
 

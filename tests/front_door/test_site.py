@@ -37,7 +37,7 @@ def built(folder: Path) -> Path:
         (source / room).symlink_to(ROOT / room)
     for page in ROOT.glob("*.md"):
         shutil.copy(page, source)
-    for notebook in sorted((ROOT / "notebooks").glob("0*.py")):
+    for notebook in sorted((ROOT / "notebooks").glob("[0-9]*.py")):
         text = notebook.read_text("utf-8").replace("(../docs/", "(../")  # as the Makefile does
         text = re.sub(r"\((0\d_\w+)\.py\)", r"(\1.ipynb)", text)
         jupytext.write(jupytext.reads(text, "py:percent"), source / "docs" / "tutorials" / f"{notebook.stem}.ipynb")

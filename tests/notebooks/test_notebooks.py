@@ -197,7 +197,21 @@ def test_contact_and_muscles_run_and_find_the_floors_impulse():
     assert figures(notebook) == 2
 
 
-@pytest.mark.parametrize("file", sorted(FOLDER.glob("0*.py")), ids=lambda file: file.stem)
+@pytest.mark.long
+def test_a_study_finds_the_effect_that_was_put_in_and_no_other():
+    notebook = jupytext.read(FOLDER / "10_a_study.py")
+    text = printed(run(notebook))
+    assert "12 trials inferred, 0 left out" in text
+    rows = dict(re.findall(r"^(shoulder|elbow) +free +load +(.+)$", text, re.M))
+    assert {joint: row.split()[4] for joint, row in rows.items()} == {"shoulder": "True", "elbow": "False"}
+    held = re.findall(r"load − free \S+ N·m, 90 % between (\S+) and (\S+)$", text, re.M)
+    (low, high), (elbow_low, elbow_high) = ([float(each) for each in row] for row in held)
+    assert low < 0.5 < high  # half of 1 N·m; the other torques' part of the peak is the same
+    assert elbow_low < 0 < elbow_high
+    assert figures(notebook) == 1
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("[0-9]*.py")), ids=lambda file: file.stem)
 def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     cells = jupytext.read(file).cells
     assert "**You will learn**" in cells[0].source
