@@ -34,6 +34,9 @@ ROUNDS, SETTLED = 5, 0.2
 HALVINGS, MIN_GAIN = 2, 0.3
 """Shorter steps, each a quarter, and nats that one must gain."""
 
+Prior = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Mean, sd and bounds of numbers."""
+
 
 @dataclass(frozen=True)
 class Cause:
@@ -126,7 +129,7 @@ def _columns(
     return np.stack(out, -1).swapaxes(0, 1) if out else np.zeros((count - 1, sizes, dim, 0))
 
 
-def _priors(log: EngineLog, effects: Sequence[Candidate]) -> tuple[np.ndarray, ...]:
+def _priors(log: EngineLog, effects: Sequence[Candidate]) -> Prior:
     """Mean, sd and bounds (p,) of all numbers of some effects."""
     each = [candidate.priors(log.model.scene.model, log.sizes) for candidate in effects]
     numbers = [number for candidate in effects for number in candidate.effect.numbers]
@@ -135,7 +138,7 @@ def _priors(log: EngineLog, effects: Sequence[Candidate]) -> tuple[np.ndarray, .
 
 
 def _regressed(
-    log: EngineLog, filtered: Filtered, columns: np.ndarray, index: np.ndarray, *prior: np.ndarray
+    log: EngineLog, filtered: Filtered, columns: np.ndarray, index: np.ndarray, prior: Prior
 ) -> list[Regression]:
     """Of H candidates, of columns ``index`` (H, p) of (G, T, O, J), one result a size."""
     sizes = len(columns)
@@ -144,7 +147,9 @@ def _regressed(
         gram = both.swapaxes(-1, -2) @ both
     none = np.zeros(len(index), int)
     log_det = filtered.log_det.sum(-1)
-    return [regression(g, index, none, *prior, log.count, d) for g, d in zip(gram, log_det, strict=True)]
+    mean, sd, low, high = prior
+    pairs = zip(gram, log_det, strict=True)
+    return [regression(g, index, none, mean, sd, low, high, log.count, d) for g, d in pairs]
 
 
 def screened(log: EngineLog, cause: Cause, found: Sequence[Candidate]) -> list[Screened]:
@@ -169,7 +174,7 @@ def screened(log: EngineLog, cause: Cause, found: Sequence[Candidate]) -> list[S
         index[k, part] = at + np.arange(size)
         sd[k, part], low[k, part], high[k, part] = spread, lowest - middle, highest - middle
         at += size
-    results = _regressed(log, cause.filtered, columns, index, mean, sd, low, high)
+    results = _regressed(log, cause.filtered, columns, index, (mean, sd, low, high))
     table = np.stack([each.log_evidence for each in results]) + log.regime.log_prior[:, None]
     kappa, out = results[int(table[:, -1].argmax())].kappa[-1], []
     norms = np.sqrt((columns[0] ** 2).sum((0, 1)))
@@ -225,8 +230,8 @@ def _about(log: EngineLog, effects: tuple[Candidate, ...], values: np.ndarray) -
     filtered = cubature_filter(model, log.observations.numpy(), log.regime.sizes)
     columns = filtered.columns(_columns(log, effects, values, sd, filtered))
     index = 1 + np.arange(len(values))[None]
-    prior = (each[None] for each in (mean - values, sd, low - values, high - values))
-    results = _regressed(log, filtered, columns, index, *prior)
+    prior = ((mean - values)[None], sd[None], (low - values)[None], (high - values)[None])
+    results = _regressed(log, filtered, columns, index, prior)
     by_size = np.array([float(each.log_evidence[0]) for each in results])
     kappa = np.array([float(each.kappa[0]) for each in results])
     each_values = values + np.nan_to_num([each.mean[0] for each in results])

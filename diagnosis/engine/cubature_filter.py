@@ -106,8 +106,8 @@ def cubature_filter(model: EngineModel, observations: np.ndarray, sizes: np.ndar
             transitions[t] = F
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise Diverged(f"the simulation runs away from the recording at {float(model.time[t]):.3g} s")
-    by_size = (each.swapaxes(0, 1) for each in (innovation, log_det, means, sds))
-    return Filtered(*by_size, whitening, gain, slopes, transitions)
+    innovation, means, sds = (each.swapaxes(0, 1) for each in (innovation, means, sds))
+    return Filtered(innovation, log_det.T, means, sds, whitening, gain, slopes, transitions)
 
 
 def _points(mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -198,7 +198,8 @@ def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Fi
             changes[number.name] = Change(before, estimate)
             at += 1
         entry = CatalogueEntry(
-            Effect, phrase=each.effect.words, meaning=each.effect.meaning, shown_by=each.effect.shown_by,
+            Effect,  # type: ignore[type-abstract]  # MuJoCo plays it: of the entry its words alone are used
+            phrase=each.effect.words, meaning=each.effect.meaning, shown_by=each.effect.shown_by,
             body_file_fields={number.name: number.name for number in numbers},
             preposition="of" if each.place.kind in ("tendon", "link", "actuator") else "at",
         )  # fmt: skip
@@ -231,16 +232,18 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
     rows = log.observations.shape[0]
     first = int(log.rules.outcome.fit_share * rows)
     withheld = np.arange(rows) >= first
-    kappa, scores = float(best.kappa[0]), []
-    for cause in (none, best):
+    kappa = float(best.kappa[0])
+
+    def predicted(cause: Cause) -> Scores:
         w, columns = cause.filtered.innovations[0], cause.columns[0]
         if cause.effects:
             A, b = columns[:first].reshape(-1, columns.shape[-1]), w[:first].ravel()
             precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
             right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
             w = w + columns @ np.linalg.solve(precision, right)
-        scores.append(_scores(log, cause, w, kappa))
-    return closed(*scores, withheld, log.model.time.numpy(), seed, rules=log.rules)
+        return _scores(log, cause, w, kappa)
+
+    return closed(predicted(none), predicted(best), withheld, log.model.time.numpy(), seed, rules=log.rules)
 
 
 def _scores(log: EngineLog, cause: Cause, w: np.ndarray, kappa: float) -> Scores:

@@ -265,7 +265,7 @@ def _tried(before: Scene, after: Scene, recording: Recording, passive: bool) -> 
 
 
 def replay_errors(log: EngineLog) -> dict[str, float]:
-    """Errors of angles, root mean square by joint, of replays that begin anew at a filtered state in each window."""
+    """Errors of angles, root mean square by joint, of replays that begin at a filtered state a window; {} without."""
     size = np.array([START_SIZE])
     mean = cubature_filter(log.with_residual(1.0), log.observations.numpy(), size).mean[0]
     mean[:, : log.model.torque_size] = 0.0
@@ -273,7 +273,9 @@ def replay_errors(log: EngineLog) -> dict[str, float]:
     length = max(2, round(FIXED.replay_window / float(np.median(np.diff(log.model.time.numpy())))))
     starts = np.arange(0, rows - 1, length)
     state, off = torch.as_tensor(mean[starts]), []
-    seen = np.array([log.recording.angles[:, k] for k in range(len(log.recording.joint_names))]).T
+    seen = log.recording.angles
+    if seen is None:
+        return {}
     columns = [log.model.scene.joint_names.index(name) for name in log.recording.joint_names]
     for step in range(1, length):
         there = starts + step < rows

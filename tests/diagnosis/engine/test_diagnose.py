@@ -88,7 +88,7 @@ def test_two_numbers_at_once_and_what_the_catalogue_lacks():
         stiffer(model)
         smoother(model)
 
-    found, _ = diagnosed("holding", both, rows=90, most=2)
+    found, _ = diagnosed("holding", both, rows=150, most=2)
     assert {each.effect for each in found.causes[0].effects} == {"tendon_stiffness", "contact_friction"}
     text, control = CASES["rubbing"]
 
