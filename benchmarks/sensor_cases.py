@@ -1,7 +1,7 @@
 """Real arms whose joint torques a sensor measured, or physics tells: what each saw, its body, and the truth.
 
-    kuka         a KUKA iiwa from its seven encoders, the first 20 s; its joint-torque sensors, whose signs are opposite
-    keypoints    the first 10 s from keypoints made of its kinematics, two a link, with 2 mm of noise
+    kuka         a KUKA iiwa from its seven encoders, the first 10 s; its joint-torque sensors, whose signs are opposite
+    keypoints    the same 10 s from keypoints made of its kinematics, two a link, with 2 mm of noise
     pendulum     three links from 16 markers, once a hand has let go: no torque but the bearings' friction
     dfki         two joints from keypoints made of the encoders, 60 frames/s and 3 mm; motor torque less friction
     film         the same arm from the pixels tracked in its film, 30 frames/s
@@ -32,8 +32,8 @@ from invdyn.recordings.formats.opensim import read_sto
 FRICTION = {"viscous": (0.001, 0.001), "coulomb": (0.093, 0.078)}  # model_2.0, N·m·s/rad and N·m
 ROTOR = 7.659297952841183e-05  # kg·m², behind a gear of 6
 GEAR = 6.0
-KUKA_RATE, PENDULUM_RATE, FILE_RATE = 5, 100, {"kuka": 200, "pendulum": 400}
-"""Rows/s: the KUKA turns by .42 rad/s at most."""
+KUKA_RATE, PENDULUM_RATE, FILE_RATE = 20, 100, {"kuka": 200, "pendulum": 400}
+"""Rows/s: the KUKA turns by .42 rad/s at most, and yet 5 rows/s do not carry its motion."""
 MARKED = {"a": (0.06, 0.0, 0.03), "b": (0.0, 0.06, -0.03)}
 """m, in each link's frame: two keypoints a link, off its axis."""
 AXIS, BASE = (-0.0817, 0.9966, 0.0), (0.00990, -0.22218, 1.53039)
@@ -81,7 +81,7 @@ def frame_means(times: np.ndarray, source: np.ndarray, values: np.ndarray, width
 
 
 # -- KUKA ------------------------------------------------------------------------------------------------------
-def kuka(trial: int, seconds: float = 20.0) -> Case:
+def kuka(trial: int, seconds: float = 10.0) -> Case:
     body = Body.load(folder("delft_kuka") / "kuka.xml")
     table = np.genfromtxt(folder("delft_kuka") / f"trial{trial}.csv", delimiter=",", skip_header=1)
     rows = table[table[:, 0] < seconds][:: FILE_RATE["kuka"] // KUKA_RATE]

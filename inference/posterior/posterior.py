@@ -39,6 +39,7 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence, scatter_doubt
 from invdyn.inference.posterior.problem import DRAWS, Contents, StateSpaceProblem, Variables
+from invdyn.models.state_space import StateSpaceModel
 
 
 def to_inference_data(
@@ -151,8 +152,9 @@ def _of_paths(problem: StateSpaceProblem, paths: Tensor) -> tuple[Contents, np.n
     for first in range(0, len(paths), size):
         some = paths[first : first + size]
         some = some.double() if some.is_floating_point() else some  # a finite model numbers its states
-        contents = problem.contents(some, problem.model.sample_observations(some))
-        likelihood = problem.model.log_likelihood(some, problem.observations.double())
+        own = replace(problem, model=_of_chains(problem.model, slice(first, first + size), len(paths)))
+        contents = own.contents(some, own.model.sample_observations(some))
+        likelihood = own.model.log_likelihood(some, problem.observations.double())
         if len(some) == len(paths):
             return contents, likelihood.numpy()
         of_draws: dict[str, Variables] = {"posterior": contents.posterior, "predictive": contents.predictive}
@@ -167,6 +169,12 @@ def _of_paths(problem: StateSpaceProblem, paths: Tensor) -> tuple[Contents, np.n
         for group, variables in of_draws.items()
     }
     return replace(contents, posterior=whole["posterior"], predictive=whole["predictive"]), stored["likelihood", "y"]
+
+
+def _of_chains(model: StateSpaceModel, chains: slice, count: int) -> StateSpaceModel:
+    """The model of some of ``count`` chains, where each chain has parameters of its own, (M, 1, 1, own shape)."""
+    own = {name: value[chains] for name, value in model.parameters.items() if value.shape[:3] == (count, 1, 1)}
+    return model.replace(**own) if own else model
 
 
 UNITS = {

@@ -118,3 +118,28 @@ def test_equal_models_are_a_batch_too(sets):
     both = stacked([own[0].model, own[0].model])
     assert both.parameters["noise.angle"].shape == (2, 1, 1)
     assert both.parameters["torque.scale"].shape == (1,)
+
+
+def test_draws_that_are_kept_block_by_block_are_the_same(sets, monkeypatch):
+    """Each chain of a block has the parameters of its own set, not of the first ones."""
+    problem, own = sets
+    noisy = [
+        replace(each, model=each.model.replace(**{"emission.keypoint_scale": torch.tensor([0.002 * k]).double()}))
+        for k, each in enumerate(own, 1)
+    ]
+
+    def found():
+        return over_sets("laplace", problem, noisy, options=SMCOptions(6, 10, 50), seed=0)
+
+    whole = found()
+    size = 50 * ROWS * problem.model.state_dim  # numbers of a chain
+    monkeypatch.setattr("invdyn.inference.posterior.posterior.SINGLE_FROM", 2 * size)
+    monkeypatch.setattr("invdyn.inference.posterior.posterior.AT_ONCE", 2 * size)
+    blocks = found()
+    for group in ("posterior", "log_likelihood"):
+        for name, values in whole[group].data_vars.items():
+            np.testing.assert_allclose(blocks[group][name].values, values.values, rtol=1e-4, atol=1e-5)
+    spread = blocks["posterior_predictive"]["position"] - blocks["posterior"]["position"]
+    np.testing.assert_allclose(
+        spread.std(("draw", "time", "keypoint", "space")), [0.002] * 2 + [0.004] * 2 + [0.006] * 2, rtol=0.05
+    )
