@@ -114,7 +114,7 @@ class Commands(TyperGroup):
                     "error", f"{self._given(ctx, error.filename)}: {error.strerror}" if error.filename else error
                 )
             except (ValueError, ArithmeticError) as error:
-                if not isinstance(error, _input_errors()):
+                if not _is_input_error(error):
                     raise
                 print_line("error", error)
             raise typer.Exit(BAD_INPUT)
@@ -158,15 +158,19 @@ def _terminable() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _input_errors() -> tuple[type[Exception], ...]:
+def _is_input_error(error: Exception) -> bool:
+    """Whether it is the user's to mend; those of models, which need torch, are looked for last."""
+    from invdyn.recordings import InputError
+
+    if isinstance(error, InputError):
+        return True
     from pyro.infer.smcfilter import SMCFailed
 
     from invdyn.inference.contract import ModelError
-    from invdyn.models import BodyError  # not above: `invdyn --help` need not wait for torch
+    from invdyn.models import BodyError
     from invdyn.models.divergence import Diverged
-    from invdyn.recordings import InputError
 
-    return InputError, BodyError, Diverged, ModelError, SMCFailed
+    return isinstance(error, BodyError | Diverged | ModelError | SMCFailed)
 
 
 def print_line(kind: str, message: object) -> None:

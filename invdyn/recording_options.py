@@ -91,9 +91,10 @@ class Recorded:
     def check_exist(self) -> None:
         """Raise FileNotFoundError for a file that is nowhere, before anything large is imported.
 
-        Raises InputError unless there is a body file, or all numbers that a person needs.
+        Raises InputError unless there is a body file, or all numbers that a person needs, and for an unknown unit.
         """
         from invdyn.recordings import InputError
+        from invdyn.recordings.units import parse_units
 
         from .input_names import check_exist
 
@@ -108,6 +109,7 @@ class Recorded:
                 f"expected --body, or a person's --height, --mass and --sex; missing: --body, or {missing}"
             )
         check_exist(*self.tracked, *(() if self.calibration else self.other_recordings), body=self.body)
+        parse_units(self.units)
 
     @property
     def recording(self) -> str:

@@ -21,6 +21,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
+from invdyn.inference.contract import check_model
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, evidence_of, gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import (
     SharedMeans,
@@ -334,6 +335,8 @@ def fit(
         none, evidence = np.zeros(0), smoother.log_evidence.item()
         return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence)
     objective = Objective(model, observations, free, start)
+    # Once: copies with other numbers inherit the result.
+    check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
 
     def report(done: int, phi: np.ndarray) -> bool:
         if progress is not None:

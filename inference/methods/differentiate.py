@@ -19,7 +19,6 @@ from dataclasses import replace
 import arviz as az
 import numpy as np
 import torch
-from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Progress
@@ -128,6 +127,8 @@ def winter_cutoff(time: np.ndarray, angle: np.ndarray, count: int = 60) -> np.nd
 
 
 def _low_passed(column: np.ndarray, cutoff: float, interval: float) -> np.ndarray:
+    from scipy.signal import butter, filtfilt  # it takes half a second to import, and no other method needs it
+
     return filtfilt(*butter(2, cutoff, fs=1 / interval), column)
 
 

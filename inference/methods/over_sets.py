@@ -33,7 +33,7 @@ from invdyn.inference.fitting.parameter_draws import ROWS_AT_ONCE, ParameterSet
 from invdyn.inference.marginalise import body_draws
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.initialise import Problem
-from invdyn.inference.posterior.posterior import combine, to_inference_data
+from invdyn.inference.posterior.posterior import combine, stored_dtype, to_inference_data
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, gauss_newton
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
@@ -112,8 +112,8 @@ def run_sets(
     smoothers = posterior_linearisation(many, rows, gauss_newton(many, rows, start=starts), 1)
     owners = [k for k, count in enumerate(counts) for _ in range(count)]
     with seeded(seed, options.device):
-        drawn = _gaussian if method == "laplace" else _filtered
-        paths, evidences, result = drawn(problems, smoothers, owners, options)
+        draw = _gaussian if method == "laplace" else _filtered
+        paths, evidences, result = draw(problems, smoothers, owners, options)
         evidences = evidences + torch.tensor(offsets).double()[owners]
         numbers = torch.tensor(owners)
         whole = [numbers >= 0] if _of_one_body(problems) else [numbers == k for k in range(len(problems))]
@@ -122,7 +122,8 @@ def run_sets(
             model = stacked([problems[k].model for k in numbers[own]], axes=2)
             one = replace(problems[int(numbers[own][0])], model=model)
             part = None if result is None else _of_filters(result, own, evidences)
-            found.append(_contents(method, one, paths[own], evidences[own], part, options, seed, settings or {}))
+            drawn = paths if own.all() else paths[own]  # all of them are not copied
+            found.append(_contents(method, one, drawn, evidences[own], part, options, seed, settings or {}))
     if progress is not None:
         progress(1, 1)
     return found
@@ -168,9 +169,12 @@ def _gaussian(
     problems: Sequence[Problem], smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions
 ) -> tuple[Tensor, Tensor, None]:
     """Draws of each set's smoother, and its evidence."""
-    chains = [GaussianChain.of(smoothers.of_set(k)) for k in range(len(problems))]
-    paths = [chain.sample((owners.count(k), options.num_draws)) for k, chain in enumerate(chains)]
-    return torch.cat(paths), smoothers.log_evidence[owners], None
+    shape = (len(owners), options.num_draws, *smoothers.path.shape[-2:])
+    paths = torch.empty(shape, dtype=stored_dtype(*shape))
+    sizes = [owners.count(k) for k in range(len(problems))]
+    for k, own in enumerate(paths.split(sizes)):
+        own.copy_(GaussianChain.of(smoothers.of_set(k)).sample(own.shape[:2], dtype=own.dtype))
+    return paths, smoothers.log_evidence[owners], None
 
 
 def _filtered(
@@ -179,7 +183,9 @@ def _filtered(
     """Ancestral lines of filters, each with the set and the guide of its own."""
     observations = problems[0].observations
     dtype = options.dtype or sufficient_dtype(smoothers)
-    models: list[Any] = [in_type(each.model, observations, options, dtype) for each in problems]
+    # Sets differ in numbers alone: what one of them is checked for holds of all.
+    first = in_type(problems[0].model, observations, options, dtype)
+    models: list[Any] = [each.model.to(dtype=first.dtype, device=first.device) for each in problems]
     rows = observations.to(dtype=models[0].dtype, device=options.device)
     guides = [Corrected(model, rows, smoothers.of_set(k)) for k, model in enumerate(models)]
     model = stacked([models[k] for k in owners])

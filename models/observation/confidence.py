@@ -14,7 +14,6 @@ from typing import Self
 
 import numpy as np
 import torch
-from scipy.stats import rankdata
 from torch import Tensor
 
 DEFAULT_SLOPE, DEFAULT_DROP = 0.1, 0.02
@@ -38,6 +37,8 @@ class Confidence:
     @classmethod
     def of(cls, confidence: np.ndarray) -> Self:
         """Confidences (T, P); a missing one, NaN, ranks lowest."""
+        from scipy.stats import rankdata  # half a second to import, which most runs do not need
+
         filled = np.where(np.isfinite(confidence), confidence, -np.inf)
         rank = rankdata(filled, method="max", axis=0) / len(filled)
         itself = 1 - np.nan_to_num(confidence, nan=1.0)
