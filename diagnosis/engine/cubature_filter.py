@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from invdyn.models import EngineModel
-from invdyn.models.divergence import Diverged
+from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.state_space import gaussian_moments
 
 
@@ -59,6 +59,7 @@ class Filtered:
         return out.swapaxes(0, 1)
 
 
+@diverging()
 def cubature_filter(model: EngineModel, observations: np.ndarray, sizes: np.ndarray) -> Filtered:
     """Filter ``observations`` (T, O), NaN where missing, of a model whose residual has a size of one.
 

@@ -6,6 +6,7 @@ import torch
 
 from invdyn.diagnosis.engine.cubature_filter import cubature_filter
 from invdyn.models import Encoders, EngineModel, Observation
+from invdyn.models.divergence import Diverged
 from invdyn.models.engine.drives import Given
 
 CART = """<mujoco><option timestep="0.005" integrator="Euler" gravity="0 0 0"/><worldbody><body>
@@ -56,6 +57,14 @@ def test_evidence_is_kalmans_for_every_size():
     log_density = -0.5 * (found.innovations**2).sum((1, 2)) - found.log_det.sum(1) - 0.5 * count * np.log(2 * np.pi)
     expected = [by_kalman(model, rows[:, 0], force[:, 0], size) for size in sizes]
     assert log_density == pytest.approx(np.array(expected), abs=1e-4)
+
+
+@pytest.mark.parametrize("size", [1e80, 1e160])
+def test_a_residual_that_no_number_holds_runs_away_and_is_no_error_of_a_matrix(size):
+    model = cart()
+    _, rows = model.simulate(seed=1)
+    with np.errstate(all="ignore"), pytest.raises(Diverged):
+        cubature_filter(model, rows.numpy() * size, np.array([size]))
 
 
 def test_columns_are_what_an_input_changes():
