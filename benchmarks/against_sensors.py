@@ -1,9 +1,13 @@
 """Joint torques of real arms against sensors that the filter has not seen, or against what physics says.
 
 For each recording of `sensor_cases.py`, with every torque hidden, default options and the method `laplace`: rms error
-of the posterior mean and share of true values in the 90 % band, joint by joint, half the band's mean width, how far
-the largest torque is off, and beside them filter-and-differentiate: a Butterworth filter forth and back, differences,
-inverse dynamics, whose cut-off is the best in hindsight for each joint, as no one could know it.
+of the posterior mean and share of true values in the 90 % band, joint by joint, half the band's mean width, the mean
+interval score of the band (l, u), which a wider band must pay for (T. Gneiting and A. Raftery, JASA 102, 2007),
+
+    (u − l) + 20 max(l − τ, 0) + 20 max(τ − u, 0),
+
+how far the largest torque is off, and beside them filter-and-differentiate: a Butterworth filter forth and back,
+differences, inverse dynamics, whose cut-off is the best in hindsight for each joint, as no one could know it.
 
     INVDYN_DATA=… python benchmarks/against_sensors.py ["kuka 1" "film" …] [--torque matern32] [--results FILE]
 """
@@ -69,17 +73,21 @@ def score(name: str, torque: str | None, method: str, seed: int) -> dict:
         "hindsight": rms(classical - truth).min(0).tolist(),
         "covers": ((low <= truth) & (truth <= high)).mean(0).tolist(),
         "half width": ((high - low) / 2).mean(0).tolist(),
+        "score": (high - low + 20 * (np.maximum(low - truth, 0) + np.maximum(truth - high, 0))).mean(0).tolist(),
         "peak": off.tolist(),
         "seconds": took,
         "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
     }
 
 
-HEADS = "recording|rows|rms of true torque|error, rms|best Butterworth|90 % covers|half width|peak off, %|CPU s"
+HEADS = (
+    "recording|rows|rms of true torque|error, rms|best Butterworth|90 % covers|half width|interval score|peak off, %"
+    "|CPU s"
+)
 
 
 def line(name: str, row: dict) -> str:
-    digits = {"true rms": 2, "error": 2, "hindsight": 2, "covers": 2, "half width": 2, "peak": 0}
+    digits = {"true rms": 2, "error": 2, "hindsight": 2, "covers": 2, "half width": 2, "score": 2, "peak": 0}
     cells = [" / ".join(f"{v:.{n}f}" if np.isfinite(v) else "–" for v in row[key]) for key, n in digits.items()]
     return f"| {name} | {row['rows']} | {' | '.join(cells)} | {row['seconds']:.0f} |"
 

@@ -4,11 +4,13 @@
     keypoints    the same 10 s from keypoints made of its kinematics, two a link, with 2 mm of noise
     pendulum     three links from 16 markers, once a hand has let go: no torque but the bearings' friction
     dfki         two joints from keypoints made of the encoders, 60 frames/s and 3 mm; motor torque less friction
+    dfki-cad     the same arm from its encoders, with the numbers of its drawings; all of the motors' torque
     film         the same arm from the pixels tracked in its film, 30 frames/s
     arm26        an elbow flexed, from two markers; what OpenSim computes from all of them, filtered
 
 A sensor that is faster than the rows is averaged over each row, as no row tells more. The DFKI laboratory identified
-its friction (model_2.0, b θ̇ + cf arctan(100 θ̇)). Folders are those of `INVDYN_DATA`.
+its arm and its friction (model_2.0, b θ̇ + cf arctan(100 θ̇)), and does not say how well they are known: that body counts
+as inexact, as those of the others' files do. Folders are those of `INVDYN_DATA`.
 
 Shapes: T rows, K joints. Units: s, rad, m, N·m.
 """
@@ -164,13 +166,27 @@ def dfki(run: str, seed: int = 0) -> Case:
     lengths = [link.nominal("length") for link in body.links]
     recording = filmed(log, lengths, seed)
     torque = frame_means(recording.time, log.time, joint_torque(log), 1 / 60) - rotor_torque(log, recording.time)
-    return Case(f"dfki {run}", recording, body, torque, options={"hide_torque": True})
+    return Case(f"dfki {run}", recording, replace(body, exact=False), torque, options={"hide_torque": True})
+
+
+def drawn_design(run: str) -> Case:
+    """The same arm by encoders at 100 rows/s, with the file that was drawn before anything was identified."""
+    mass, com, about = np.array([0.608, 0.63]), np.array([0.275, 0.166]), np.array([0.05472, 0.02522])  # model_1.0
+    body = design_a0().with_values(mass=list(mass), com=list(com), inertia=list(about - mass * com**2))
+    log = load_truth(f"dfki-trajectory-{run}")
+    time = np.arange(log.time[0], log.time[-1], 0.01)
+    angles = np.stack([np.interp(time, log.time, column) for column in log.angle.T], -1)
+    recording = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, joint_names=body.joint_names)
+    torque = frame_means(time, log.time, log.torque, 0.01) - rotor_torque(log, time)
+    return Case(f"dfki-cad {run}", recording, replace(body, exact=False), torque)
 
 
 def film() -> Case:
     recording, truth = load("dfki-film"), load_truth("dfki-film")
     body = design_a0().with_values(length=[0.3, 0.22])  # the tracked disc sits beyond the link's end
-    return Case("film", recording, body, joint_torque(truth), recording.time < CALM, {"hide_torque": True})
+    return Case(
+        "film", recording, replace(body, exact=False), joint_torque(truth), recording.time < CALM, {"hide_torque": True}
+    )
 
 
 # -- OpenSim's arm ---------------------------------------------------------------------------------------------
@@ -194,8 +210,8 @@ def made(name: str) -> Case:
     makers: dict[str, Any] = {"film": film, "arm26": arm26, "kuka": kuka, "keypoints": keypoints, "pendulum": pendulum}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # what files have besides plays no part here
-        if kind == "dfki":
-            return dfki(*which)
+        if kind.startswith("dfki"):
+            return {"dfki": dfki, "dfki-cad": drawn_design}[kind](*which)
         return makers[kind](*map(int, which))
 
 

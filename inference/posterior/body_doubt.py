@@ -9,15 +9,25 @@ moves equally under twice the torque. What the torque's prior prefers is no know
 is cut off from it and stays its prior (M. Plummer, "Cuts in Bayesian graphical models", Statistics and Computing 25,
 2015). Each draw of a path has a draw of φ of its own, and the torque
 
-    τ + τ(φ) − τ(φ̄),
+    τ + τ(φ) − τ(φ̄) + o + f tanh(θ̇/v),
 
-which is linear in m, m c and the moments about the joint (C. Atkeson, C. An and J. Hollerbach, "Estimation of inertial
-parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as long as the recording. Bodies whose file
-states an uncertainty are integrated out by :mod:`invdyn.inference.marginalise` instead, as is right where φ has a part
-in the motion: commands that are known, or lengths before keypoints.
+whose last terms are what joints have besides the body: friction, cables, the zero of a sensor. They may have either
+sign, so that the mean stays the net torque. τ(φ) is linear in m, m c and the moments about the joint (C. Atkeson, C. An
+and J. Hollerbach, "Estimation of inertial parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as
+long as the recording. Bodies whose file states an uncertainty are integrated out by
+:mod:`invdyn.inference.marginalise` instead, as is right where φ has a part in the motion: commands that are known, or
+lengths before keypoints.
 
     m ~ LogNormal of relative sd `MASS`              c ~ N(c̄, (`CENTRE` s)²) along each axis, s a link's size
     moments all times LogNormal of sd `MOMENT`       g rotated by N(0, `LEVEL`²) about each level axis
+    o, f ~ N(0, (`JOINT` S)²)
+
+with S the weight of the joint's own link times its size: a link and its bearing, or motor, are as large. A joint of a
+frame without mass has the largest S of those on it.
+
+The sds are those that torque sensors bear out. A regression of three robots' sensors on these changes has the most
+evidence about here (`benchmarks/what_is_off.py --scales`), and so it has in other recordings of the same robots; with
+wider ones the bands hold more, but by less than they are wider (`benchmarks/against_sensors.py`, interval score).
 
 Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
 """
@@ -41,10 +51,15 @@ CENTRE = 0.05
 """Of a link's size: one to two centimetres of an arm's link."""
 LEVEL = 0.0175
 """rad, one degree: how far from level a bench, or the frame of a laboratory, is."""
+JOINT = 0.03
+"""Of a link's weight times its size."""
+SLOW, GRAVITY = 0.05, 9.81
+"""v, rad/s (m/s of a slide), below which dry friction is not full; m/s²."""
 CHANGED = ("mass", "com", "inertia", "gravity")
 NOTE = (
     "the body's file does not say how well its numbers are known: the bands count masses and moments as known to "
-    f"{MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, and level to 1°"
+    f"{MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, level to 1°, and what joints take besides, as by "
+    f"friction, to {JOINT:.0%} of a link's weight times its size"
 )
 
 
@@ -82,18 +97,42 @@ def drawn(model: ArmModel, shape: tuple[int, ...]) -> Any:
     return tilt.body(angles, changed)
 
 
+def joint_weights(model: ArmModel) -> Tensor:
+    """S of each joint, (K,) N·m, or N of a slide; see the top."""
+    body, numbers = model.body, model.body_parameters()
+    weight = GRAVITY * numbers.mass
+    lever = torch.stack([weight[link] * size_of(numbers, link) for link in range(len(body.links))])
+    own = torch.stack([lever, weight], -1)
+    for link, parent in reversed(list(enumerate(body.parents))):
+        if parent >= 0 and not numbers.mass[parent]:
+            own[parent] = torch.maximum(own[parent], own[link])
+    places = [(body.links.index(link), int(not motion.turns)) for link, motion in body.motions()]
+    return torch.stack([own[place] for place in places])
+
+
+def joint_losses(offset: Tensor, friction: Tensor, velocity: Tensor) -> Tensor:
+    """Return o + f tanh(θ̇/v) (..., K) of numbers (..., K) at velocities (..., K)."""
+    return offset + friction * torch.tanh(velocity / SLOW)
+
+
 def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Contents:
     """The contents of a posterior with torques of bodies that may differ from the file.
 
     Args:
         contents: of the body as its file has it, whose ``posterior`` is changed: "torque" is that of a drawn body,
-            "stated_torque" that of the file's. The numbers that differ between draws become variables.
+            "stated_torque" that of the file's. The numbers that differ between draws become variables, joints' o and f
+            as "torque_offset" and "dry_friction".
         model: of the arm, in float64.
         paths: (M, R, T, D) draws of the states.
     """
     nominal, other = model.body_parameters(), drawn(model, tuple(paths.shape[:2]))
     _, q, qd = model.split(paths)
     qdd = model.acceleration(paths, torch.arange(paths.shape[-2]), nominal)
+    size = joint_weights(model)
+    joints = {
+        name: JOINT * size * torch.randn(*paths.shape[:2], len(size)).to(size)
+        for name in ("torque_offset", "dry_friction")
+    }
     # One body for all rows of a draw; what does not differ between draws broadcasts as it is.
     wide = other._replace(**{name: getattr(other, name).unsqueeze(2) for name in CHANGED})
     q, qd, qdd = (each.contiguous() for each in torch.broadcast_tensors(q, qd, qdd))
@@ -101,12 +140,14 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
     if (moved := model.base_motion(paths)) is not None:  # gravity is then g − b̈
         felt = moved[2].contiguous()
         change = change - model.dynamics.uniform_load(q, felt, wide) + model.dynamics.uniform_load(q, felt, nominal)
+    change = change + joint_losses(*(each.unsqueeze(2) for each in joints.values()), qd)
     dims, torque = contents.posterior["torque"]
     posterior = contents.posterior | {"torque": (dims, torque + change), "stated_torque": (dims, torque)}
     for name, (own, _) in model.body.described(nominal).items():
         if name in CHANGED:
             posterior[name] = [*DRAWS, *own], getattr(other, name)
-    units = contents.units | {"stated_torque": contents.units["torque"]}
+    posterior |= {name: ([*DRAWS, "joint"], value) for name, value in joints.items()}
+    units = contents.units | dict.fromkeys(("stated_torque", *joints), contents.units["torque"])
     attributes = contents.attributes | {"body_doubt": NOTE}
     return Contents(
         posterior,

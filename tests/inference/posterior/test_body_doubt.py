@@ -11,7 +11,7 @@ from invdyn.cli import app
 from invdyn.inference import infer, load_posterior, mechanics, pooled
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior import body_doubt
-from invdyn.inference.posterior.body_doubt import CHANGED
+from invdyn.inference.posterior.body_doubt import CENTRE, CHANGED, JOINT, LEVEL, MASS, MOMENT, SLOW
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.posterior.problem import Contents
 from invdyn.models import ArmModel, Body, Joint, Link, planar_body, write_mjcf
@@ -69,7 +69,7 @@ def test_the_bands_hold_what_the_file_leaves_open(file):
     body = Body.load(file, dimensions=3)
     assert not body.exact
     found, exact = infer(of_encoders(), body, **SIZES), infer(of_encoders(), replace(body, exact=True), **SIZES)
-    assert "masses and moments" in found.attrs["body_doubt"]
+    assert "by friction" in found.attrs["body_doubt"]
     np.testing.assert_allclose(band(found, "stated_torque"), band(exact), rtol=1e-12)
     wide, narrow = band(found).var(0)[:-1], band(exact).var(0)[:-1]  # nothing follows the last row, which tells least
     assert (wide > 2 * narrow).all()
@@ -94,7 +94,7 @@ def test_each_draw_keeps_its_motion_under_its_own_body(file):
     body = Body.load(file, dimensions=3)
     found = infer(of_encoders(), body, **SIZES)
     own = mechanics(found, body)["acceleration"].values
-    numbers = ["mass", "com", "inertia", "gravity", "torque"]
+    numbers = ["mass", "com", "inertia", "gravity", "torque", "torque_offset", "dry_friction"]
     stated = found.copy()
     stated.posterior = found.posterior.drop_vars(numbers).rename(stated_torque="torque")
     np.testing.assert_allclose(own, mechanics(stated, body)["acceleration"].values, atol=1e-9)
@@ -123,7 +123,7 @@ def test_the_command_line_says_it_and_takes_a_file_as_exact(file, tmp_path):
 
 @pytest.mark.parametrize("dimensions", BODIES)
 def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
-    """Y Σ Yᵀ, with Y by differences, and all rows of one draw moved together."""
+    """Y Σ Yᵀ, with Y by differences, and all rows of one draw moved together; joints by themselves besides."""
     body = replace(BODIES[dimensions], exact=False)
     problem = arm_problem(of_encoders(8), body, parameters=KNOWN)
     model = problem.model
@@ -143,18 +143,37 @@ def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
         return (upper - lower) / 2e-3
 
     units = torch.eye(2).double()
-    columns = [slope("mass", 0.05 * p.mass * unit) for unit in units]
-    columns += [slope("inertia", 0.1 * torch.einsum("l...,l->l...", p.inertia, unit)) for unit in units]
+    columns = [slope("mass", MASS * p.mass * unit) for unit in units]
+    columns += [slope("inertia", MOMENT * torch.einsum("l...,l->l...", p.inertia, unit)) for unit in units]
     for unit, size in zip(units, (size_of(p, 0), size_of(p, 1)), strict=True):
         steps = [unit] if dimensions == 2 else [torch.outer(unit, axis) for axis in torch.eye(3).double()]
-        columns += [slope("com", 0.05 * size * step) for step in steps]
+        columns += [slope("com", CENTRE * size * step) for step in steps]
     level = torch.eye(dimensions).double()[: dimensions - 1]
-    columns += [slope("gravity", 9.81 * np.pi / 180 * way) for way in level]
+    columns += [slope("gravity", 9.81 * LEVEL * way) for way in level]
+    for unit, mass, size in zip(units, p.mass, (size_of(p, 0), size_of(p, 1)), strict=True):
+        taken = JOINT * 9.81 * mass * size * unit
+        columns += [taken.expand(8, 2).flatten(), (taken * torch.tanh(qd / SLOW)).flatten()]
     jacobian = torch.stack(columns, -1)
     expected, sampled = jacobian @ jacobian.mT, change.mT @ change / len(change)
     scale = expected.diagonal().sqrt()
     # 4,000 draws tell a correlation to 1.6 %, a variance to 2.2 %.
     assert ((expected - sampled) / torch.outer(scale, scale)).abs().max() < 0.08
+
+
+def test_a_joint_is_as_large_as_what_it_carries():
+    """A frame without mass is that of the link on it, and a slide has a force."""
+    carriage = Link("rail", Joint("along", "slide", axis=(1.0, 0.0, 0.0)), mass=3.0, com=(0.0, 0.0, 0.1))
+    frame = Link("frame", Joint("lean", axis=(1.0, 0.0, 0.0)), parent="rail", mass=0.0)
+    rod = Link(
+        "rod",
+        Joint("swing", axis=(0.0, 1.0, 0.0)),
+        parent="frame",
+        mass=0.5,
+        com=(0.0, 0.0, -0.2),
+        sites={"tip": (0.0, 0.0, -0.4)},
+    )
+    found = body_doubt.joint_weights(ArmModel(Body("cart", [carriage, frame, rod]), 0.1 * np.arange(3)))
+    np.testing.assert_allclose(found, 9.81 * np.array([3.0, 0.5 * 0.4, 0.5 * 0.4]))
 
 
 @pytest.mark.parametrize("base", [None, MovingBase(3)], ids=["at rest", "moving"])
@@ -168,6 +187,7 @@ def test_a_body_that_is_heavier_needs_as_much_more_torque(base, monkeypatch):
         return own._replace(**{name: getattr(own, name).expand(*shape, *getattr(own, name).shape) for name in CHANGED})
 
     monkeypatch.setattr(body_doubt, "drawn", heavier)
+    monkeypatch.setattr(body_doubt, "JOINT", 0.0)
     paths = torch.as_tensor(np.random.default_rng(0).normal(size=(3, 2, 6, model.state_dim)))
     torque = {"torque": ([], model.net_torque(paths))}
     contents = Contents(torque, {}, {}, {}, {}, {"torque": "N·m"})
@@ -178,7 +198,7 @@ def test_a_body_that_is_heavier_needs_as_much_more_torque(base, monkeypatch):
 @pytest.mark.long
 def test_it_agrees_with_filters_of_drawn_bodies(file, monkeypatch):
     """Masses alone, for few rows of which the torque's prior tells little."""
-    for name in ("CENTRE", "MOMENT", "LEVEL"):
+    for name in ("CENTRE", "MOMENT", "LEVEL", "JOINT"):
         monkeypatch.setattr(body_doubt, name, 1e-6)
     body, recording = Body.load(file, dimensions=3), of_encoders(12)
     found = infer(recording, body, **SIZES)
