@@ -117,7 +117,7 @@ def read_file(
             raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
         if fps is not None and not MIN_RATE <= fps <= MAX_RATE:
             raise InputError(f"--fps must be positive, from {MIN_RATE:g} to {MAX_RATE:g} frames a second, got {fps:g}")
-        if kind in ("nexus", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
+        if kind in ("nexus", "c3d", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
             raise InputError(f"a {form.title} file carries its own units: leave --units out")
         if not form.animals and individual is not None:
             raise InputError(f"a {form.title} file holds one body: leave individual out")

@@ -14,6 +14,7 @@ from ..paths import check_readable, is_film
 from ..plane import OURS, Axes
 from ..recording import Recording
 from ..tables import read_header
+from .c3d import read_c3d
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
 from .movement_package import read_with_movement
 from .nexus_csv import is_nexus, read_nexus_csv
@@ -75,6 +76,7 @@ FORMATS: dict[str, Format] = {
         own_times=True,
         own_units=True,
     ),
+    "c3d": Format("C3D", lambda path, fps, individual: read_c3d(path, individual), own_times=True, own_units=True),
     "trc": Format(
         "OpenSim .trc",
         lambda path, fps, individual: read_trc(path),
@@ -111,7 +113,7 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_csv(path)
     if suffix in (".h5", ".hdf5"):
         return _recognise_h5(path)
-    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".trc": "trc", ".mot": "mot"}
+    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".c3d": "c3d", ".trc": "trc", ".mot": "mot"}
     if suffix not in by_suffix:
         check_readable(path)
         if is_film(path):
@@ -120,7 +122,7 @@ def recognise(path: Path, name: str | None = None) -> str:
             )
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb, "
-            f".trc or .mot (or say it: --set format={'|'.join(FORMATS)})"
+            f".c3d, .trc or .mot (or say it: --set format={'|'.join(FORMATS)})"
         )
     return by_suffix[suffix]
 
