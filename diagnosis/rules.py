@@ -455,6 +455,22 @@ class Fixed:
     replay_runs_away: float = number(1.0, "rad", "rms, from which on a replay without restarts says nothing", "chosen")
     max_replay_angle: float = number(1e4, "rad", "beyond which a replay has run away", "chosen")
     min_replay_rows: int = number(13, "rows", "with all angles", "chosen")
+    # -- the diagnosis on MuJoCo's engine
+    engine_step: float = number(0.02, "prior sd", "of a difference by a number", "chosen")
+    engine_rounds: int = number(5, "rounds", "of Gauss–Newton on a cause", "effort")
+    engine_settled: float = number(0.2, "posterior sd", "of a number's change that ends them", "chosen")
+    engine_shorter: int = number(2, "steps", "that are tried, each a quarter of the last", "effort")
+    engine_gain: float = number(0.3, "nats", "that a step must gain", "chosen")
+    engine_effects: int = number(3, "effects", "at once, by default", "effort")
+    engine_draws: int = number(4000, "draws", "of a cause's numbers", "effort")
+    engine_usual: float = number(0.3, "of a usual force", "that an effect's is, one sd", "chosen")
+    engine_speed_noise: float = number(1e-3, "usual speeds", "noise of velocities in a row", "chosen")
+    engine_sizes: tuple[float, ...] = number(
+        (1e-4, 3e-3, 3e-2, 0.3), "typical torque", "of the residual: none, and what else would need", "chosen"
+    )
+    engine_least: float = number(0.1, "1", "share below which a size is no smaller", "chosen")
+    engine_poses: int = number(10, "poses", "in which levers of tendons are looked up", "effort")
+    engine_start_size: float = number(0.03, "typical torque", "of the residual where replays start", "chosen")
     # -- the output-error fit of a file's numbers
     refine_window: float = number(8.0, "s", "of a replay", "chosen: a servo settles within one")
     max_refine_windows: int = number(24, "windows", "a third of them held out", "effort")

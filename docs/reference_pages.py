@@ -59,14 +59,17 @@ def effects_page(pictures: Path | None) -> str:
 
     newest = Path(__file__).stat().st_mtime
     parts = [
-        "# Effects\n\nWhat a real arm has and an ideal simulation lacks. Each effect is one class and one file. "
+        "# Effects\n\nWhat a real arm has and an ideal simulation lacks. Each effect is one class. "
         "A picture shows a coordinate of the same commanded arm with the effect and without it. "
         "The effect is as large as its prior calls likely.\n"
     ]
     for name, entry in CATALOGUE.items():
         kind = entry.effect
         module = inspect.getmodule(kind)
-        formula = (module.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
+        said = (module.__doc__ or "").strip()
+        # a file of a family has a line for each of its effects
+        own = [line.removeprefix(name).strip() for line in said.splitlines() if line.startswith(f"{name} ")]
+        formula = own[0] if own else said.split("\n\n")[0].replace("\n", " ")
         shown = ""
         if pictures is not None:
             pictures.mkdir(exist_ok=True)

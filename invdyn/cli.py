@@ -309,6 +309,8 @@ def diagnose(
             diagnosis = corrected(
                 diagnosis, str(given.body), arguments["body"], write_back, shown, held_out is not None, refined
             )
+            if diagnosis.written is not None and diagnosis.written.refined is None:
+                refined = None  # the copies follow the answer that the file follows
         if ensemble is not None and copies is not None:
             with new_folder(copies):
                 write_ensemble(diagnosis, str(given.body), arguments["body"], copies, ensemble[0], refined)

@@ -178,9 +178,9 @@ def diagnose_by_engine(
     """The diagnosis, with a corrected copy of the body's file as ``out``. Raises InputError or OSError."""
     from dataclasses import replace
 
-    from invdyn.diagnosis.engine.diagnose import MOST, diagnose_engine
+    from invdyn.diagnosis.engine.diagnose import diagnose_engine
     from invdyn.diagnosis.engine.write_back import write_back
-    from invdyn.diagnosis.rules import DEFAULT
+    from invdyn.diagnosis.rules import DEFAULT, FIXED
 
     tolerance = given.tolerance
     if tolerance is None and given.robot:
@@ -192,7 +192,7 @@ def diagnose_by_engine(
         scene,
         passive=given.zero_torque,
         without=given.excluded,
-        most=MOST if given.max_effects == usual else given.max_effects,
+        most=FIXED.engine_effects if given.max_effects == usual else given.max_effects,
         seed=given.seed,
         rules=rules,
         reasons=reasons,

@@ -23,16 +23,10 @@ from invdyn.diagnosis.engine.cubature_filter import Filtered, cubature_filter
 from invdyn.diagnosis.engine.effects import Candidate
 from invdyn.diagnosis.engine.model_numbers import changed
 from invdyn.diagnosis.engine.problem import EngineLog
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.models import EngineModel
 from invdyn.models.divergence import Diverged
-
-STEP = 0.02
-"""Of differences, in a number's prior sd."""
-ROUNDS, SETTLED = 5, 0.2
-"""Of Gauss–Newton, and the change of a number, in its posterior sd, that ends it."""
-HALVINGS, MIN_GAIN = 2, 0.3
-"""Shorter steps, each a quarter, and nats that one must gain."""
 
 Prior = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Mean, sd and bounds of numbers."""
@@ -118,7 +112,9 @@ def _columns(
     rows = torch.arange(1, filtered.mean.shape[1])
     out = []
     for at, number in list(enumerate(n for each in effects for n in each.effect.numbers))[first:]:
-        low, high = (float(np.clip(values[at] + s * STEP * sds[at], number.low, number.high)) for s in (-1, 1))
+        low, high = (
+            float(np.clip(values[at] + s * FIXED.engine_step * sds[at], number.low, number.high)) for s in (-1, 1)
+        )
         ends = []
         for end in (low, high):
             other = values.copy()
@@ -196,7 +192,7 @@ def refined(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) ->
         np.minimum(high, mean + log.rules.residual.max_prior_sds * sd),
     )
     best = _about(log, effects, np.clip(values, low, high))
-    for _ in range(ROUNDS if len(values) else 0):
+    for _ in range(FIXED.engine_rounds if len(values) else 0):
         # Where the likeliest size is settled, without a residual there may be a sharper estimate.
         for size in dict.fromkeys((best.likely(log), 0)):
             better = _better(log, best, np.clip(best.by_size_values[size], low, high), best.by_size_sds[size])
@@ -211,14 +207,14 @@ def refined(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) ->
 def _better(log: EngineLog, cause: Cause, target: np.ndarray, sds: np.ndarray) -> Cause | None:
     """The cause about its numbers on the way to a target, the nearest that gains; None where none does."""
     step = target - cause.point
-    if (np.abs(step) < SETTLED * sds).all():
+    if (np.abs(step) < FIXED.engine_settled * sds).all():
         return None
-    for half in range(HALVINGS):
+    for half in range(FIXED.engine_shorter):
         try:
             tried = _about(log, cause.effects, cause.point + step / 4**half)
         except Diverged:
             continue
-        if tried.log_evidence(log) > cause.log_evidence(log) + MIN_GAIN:
+        if tried.log_evidence(log) > cause.log_evidence(log) + FIXED.engine_gain:
             return tried
     return None
 

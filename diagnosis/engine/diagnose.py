@@ -38,10 +38,6 @@ from invdyn.models.divergence import Diverged
 from invdyn.models.effects.base import Effect
 from invdyn.recordings import InputError, Recording
 
-MOST = 3
-"""Effects at once, by default."""
-DRAWS = 4000
-
 
 def diagnose_engine(
     recording: Recording,
@@ -49,7 +45,7 @@ def diagnose_engine(
     *,
     passive: bool = False,
     without: Sequence[str] = (),
-    most: int = MOST,
+    most: int = FIXED.engine_effects,
     seed: int = 0,
     rules: Rules = DEFAULT,
     reasons: Sequence[str] = (),
@@ -178,12 +174,12 @@ def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
 def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Finding]:
     """Effects with intervals of draws, Gaussian, tempered, within bounds."""
     rng, scaled = np.random.default_rng(seed), cause.covariance / np.outer(cause.prior_sd, cause.prior_sd)
-    draws = np.zeros((DRAWS, 0))
+    draws = np.zeros((FIXED.engine_draws, 0))
     if cause.effects:
         values, vectors = np.linalg.eigh(scaled)
         values = np.clip(values, 1e-300, 1.0)
         wider = np.sqrt(values / (temper + (1 - temper) * values))
-        unit = (rng.standard_normal((DRAWS, len(values))) * wider) @ vectors.T
+        unit = (rng.standard_normal((FIXED.engine_draws, len(values))) * wider) @ vectors.T
         draws = cause.values + cause.prior_sd * unit
     found, at = [], 0
     for each in cause.effects:

@@ -18,6 +18,7 @@ import numpy as np
 from invdyn.diagnosis.engine import model_numbers as own
 from invdyn.diagnosis.engine.model_numbers import Place, Read, Write
 from invdyn.diagnosis.engine.sizes import Sizes
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models.engine.contacts import is_fixed
 from invdyn.models.engine.drives import is_muscle
 from invdyn.models.engine.scene import geom_name
@@ -211,8 +212,7 @@ def actuators(muscles: bool, lagging: bool = False) -> Callable[[Any, Sequence[o
 
 
 # -- the catalogue -------------------------------------------------------------------------------
-USUAL = 0.3
-"""Share of a usual force that an effect's is, one standard deviation."""
+USUAL = FIXED.engine_usual
 FIELD = {name: own.of_dofs(f"dof_{name}") for name in ("damping", "frictionloss", "armature")}
 STIFFNESS = own.of_row("jnt_stiffness", 0)
 OF_TENDON = {name: own.of_row(f"tendon_{name}", 0) for name in ("stiffness", "damping", "frictionloss")}

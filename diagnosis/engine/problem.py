@@ -19,18 +19,13 @@ from invdyn.diagnosis.engine.cubature_filter import cubature_filter
 from invdyn.diagnosis.engine.model_numbers import Pair
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.problem.regime import Regime, regimes
-from invdyn.diagnosis.rules import DEFAULT, Rules
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.inference.posterior.engine_problem import engine_problem
 from invdyn.models import EngineModel, Scene
 from invdyn.models.engine.contacts import touching_pairs
 from invdyn.models.engine.drives import Given, JointTorques
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording
-
-SPEED_NOISE = 1e-3
-"""Noise of velocities in a row, in usual speeds."""
-SIZES = (1e-4, 3e-3, 3e-2, 0.3)
-"""Of the residual: none, and three that something else would need, in typical torques."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +94,10 @@ def engine_log(recording: Recording, scene: Scene, *, passive: bool = False, rul
     flat = start.numpy()
     inputs = model.inputs.fields(np.zeros((len(flat), model.inputs.size)), np.arange(len(flat)))
     sizes = Sizes.of(model.compiled(), model.physics(flat), time.numpy(), inputs, model.inputs.spec)
-    speed = torch.as_tensor(SPEED_NOISE * sizes.dofs[1])
+    speed = torch.as_tensor(FIXED.engine_speed_noise * sizes.dofs[1])
     interval = float(np.median(np.diff(time.numpy())))
     model = model.replace(**{"noise.velocity": speed, "noise.angle": speed * interval})
-    regime = replace(regimes(rules)["passive" if passive else "commanded"], levels=SIZES)
+    regime = replace(regimes(rules)["passive" if passive else "commanded"], levels=FIXED.engine_sizes)
     log = EngineLog(model, rows, recording, regime, sizes.dofs[0], sizes, (), rules)
     path = cubature_filter(log.with_residual(1.0), rows.numpy(), np.array([regime.path_size])).mean
     return replace(log, pairs=touching_pairs(model, path))

@@ -1,7 +1,7 @@
 """Typical sizes of a motion at joints and tendons: forces, speeds, accelerations, ways.
 
 Along a path (T, nq + nv + na) with what was commanded, over its rows: forces are the root mean square of the actuators'
-and the applied ones, or of gravity's and the Coriolis forces where those are larger, and at least ``LEAST`` of the
+and the applied ones, or of gravity's and the Coriolis forces where those are larger, and at least `engine_least` of the
 largest of their unit; speeds, accelerations and ways, half of the range, likewise. A tendon's force is the largest of
 its joints', over its lever.
 """
@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from invdyn.diagnosis.engine.model_numbers import Place
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models.engine.drives import turning_dofs
 
-LEAST = 0.1
-POSES = 10
-"""Along the path, in which levers of tendons are looked up."""
 OF_JOINTS = 2
 
 
@@ -77,7 +75,7 @@ class Sizes:
             mujoco.mj_forward(model, data)
             made[t], loads[t] = data.qfrc_actuator + data.qfrc_applied, data.qfrc_bias
             lengths[t] = data.ten_length
-            if t % (len(physics) // POSES + 1) == 0:
+            if t % (len(physics) // FIXED.engine_poses + 1) == 0:
                 levers = np.maximum(levers, np.abs(_levers(mujoco, model, data)))
         speed = physics[:, nq : nq + nv]
         acceleration = np.gradient(speed, time, axis=0)
@@ -113,9 +111,9 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _floored(values: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """At least ``LEAST`` of the largest of those of the same unit, and more than zero."""
+    """At least ``FIXED.engine_least`` of the largest of those of the same unit, and more than zero."""
     out = np.maximum(values, 1e-9)
     for kind in (turns, ~turns):
         if kind.any():
-            out[kind] = np.maximum(out[kind], LEAST * out[kind].max())
+            out[kind] = np.maximum(out[kind], FIXED.engine_least * out[kind].max())
     return out

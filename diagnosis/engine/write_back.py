@@ -24,7 +24,7 @@ from invdyn.diagnosis.engine.cubature_filter import cubature_filter
 from invdyn.diagnosis.engine.effects import EFFECTS, HINGE, SEVERAL, Candidate, contacts, pair_name
 from invdyn.diagnosis.engine.model_numbers import Place, changed
 from invdyn.diagnosis.engine.problem import EngineLog, engine_log
-from invdyn.diagnosis.rules import FIXED
+from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.diagnosis.write_back.mjcf import INCLUDED
 from invdyn.diagnosis.write_back.write_back import best
@@ -43,8 +43,6 @@ SHAPES = {
     "pos": "geom_pos",
     "quat": "geom_quat",
 }
-START_SIZE = 0.03
-"""Of the residual, under which the states are found that replays begin at, in typical torques."""
 TURNS = ("euler", "axisangle", "xyaxes", "zaxis")
 NO_WORD = "the file has no word for it"
 FROM_SHAPE = "its inertia follows from its shape: write an inertial element beside it"
@@ -68,7 +66,7 @@ def write_back(
     with atomic_path(out) as temporary:
         temporary.write_bytes(new)
         there = Scene.of(Path(temporary), dimensions=scene.dimensions, where=str(out))
-        tried = _tried(scene, there, recording, passive)
+        tried = _tried(scene, there, recording, passive, diagnosis.rules)
     changes = tuple(
         {
             "place": each.place, "quantity": each.quantity, "from": each.before, "to": each.after,
@@ -243,14 +241,14 @@ class _Writer:
         return None
 
 
-def _tried(before: Scene, after: Scene, recording: Recording, passive: bool) -> dict | None:
+def _tried(before: Scene, after: Scene, recording: Recording, passive: bool, rules: Rules) -> dict | None:
     """How far replays with the file and with the copy are off the encoders; None without any."""
     import mujoco
 
     if recording.angles is None:
         return None
     try:
-        off = [replay_errors(engine_log(recording, scene, passive=passive)) for scene in (before, after)]
+        off = [replay_errors(engine_log(recording, scene, passive=passive, rules=rules)) for scene in (before, after)]
     except Diverged:
         return None
     total = [float(np.sqrt(np.mean(np.square(list(each.values()))))) for each in off]
@@ -266,7 +264,7 @@ def _tried(before: Scene, after: Scene, recording: Recording, passive: bool) -> 
 
 def replay_errors(log: EngineLog) -> dict[str, float]:
     """Errors of angles, root mean square by joint, of replays that begin at a filtered state a window; {} without."""
-    size = np.array([START_SIZE])
+    size = np.array([FIXED.engine_start_size])
     mean = cubature_filter(log.with_residual(1.0), log.observations.numpy(), size).mean[0]
     mean[:, : log.model.torque_size] = 0.0
     rows = len(mean)

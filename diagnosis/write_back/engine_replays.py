@@ -52,16 +52,19 @@ def seconds(body: ArticulatedBody) -> float:
 
 
 def windows(numbers: FileNumbers, recording: Recording) -> list[Window]:
-    """Windows of a recording from end to end, with rows between which time does not jump.
+    """Windows of a recording from end to end, in which no row lacks an angle or command and time does not jump.
 
-    Raises InputError where too few rows have angles.
+    None of a recording without encoders of all joints.
     """
     model, body = numbers.nominal, numbers.body
+    if recording.angles is None or set(body.joint_names) - set(recording.joint_names):
+        return []
     order = [recording.joint_names.index(name) for name in body.joint_names]
-    assert recording.angles is not None  # a robot's log
     own = [parts or NOTHING for parts in body.joint_parts]
     sign, zero = (np.array([getattr(each, key) for each in own]) for key in ("sign", "zero"))
     angle = sign * (recording.angles[:, order] - zero)
+    if np.isfinite(angle).all(1).sum() < FIXED.min_replay_rows:
+        return []
     time, states, what = recording.time, smoothed_states(recording.time, angle), commands(model, body, recording)
     given = np.concatenate([what.control, what.applied], 1)
     row_step = float(np.median(np.diff(time)))
@@ -75,7 +78,8 @@ def windows(numbers: FileNumbers, recording: Recording) -> list[Window]:
             continue
         at = time[first] + step * np.arange(int(np.ceil(times[-1] / step - 1e-6)))
         row = np.searchsorted(time, at + 1e-6 * step, side="right") - 1
-        found.append(Window(start, given[row], step, times, angle[rows]))
+        if np.isfinite(given[row]).all() and np.isfinite(angle[rows]).all():
+            found.append(Window(start, given[row], step, times, angle[rows]))
     return found
 
 

@@ -156,6 +156,8 @@ class FileNumbers:
                 continue
             own = inertia_of(self.body.parameters(), k)
             mass, com = own.mass.item(), own.com.tolist()
+            if mass <= 0:
+                continue
             size = FIXED.excite_link_share * max(float(np.linalg.norm(com)), float(np.sqrt(own.mean.item() / mass)))
             found.append(
                 Number(name, "mass", mass, float(np.log(after.get((name, "mass"), mass))), FIXED.excite_link_share)
@@ -181,7 +183,9 @@ class FileNumbers:
         for number, own in zip(self.numbers, z, strict=True):
             value = number.value(own)
             if number.quantity == IMPEDANCE:
-                model.dof_solimp[:, :2] = value
+                driven = {n.place for n in self.numbers if n.quantity == "friction"}
+                for joint in driven:
+                    model.dof_solimp[model.jnt_dofadr[joint_names(model).index(joint)], :2] = value
             elif number.place in self.body.link_names and (number.quantity == "mass" or number.quantity[:3] == "com"):
                 self._put_in_link(model, number, value)
             else:
@@ -202,7 +206,8 @@ class FileNumbers:
         if number.quantity == "damping":
             drag = (self.body.joint_parts[self.body.joint_names.index(number.place)] or NOTHING).servo_damping
             model.dof_damping[dof] = max(value - drag, 0.0)
-            model.actuator_biasprm[motor, 2] = -min(value, drag) / model.actuator_gear[motor, 0] ** 2 if drag else 0.0
+            if drag:
+                model.actuator_biasprm[motor, 2] = -min(value, drag) / model.actuator_gear[motor, 0] ** 2
         elif number.quantity == "friction":
             model.dof_frictionloss[dof] = value
         elif number.quantity == "armature":
@@ -212,6 +217,8 @@ class FileNumbers:
         else:
             model.actuator_gainprm[motor, 0] *= value
             model.actuator_biasprm[motor, 1] *= value
+            if not model.actuator_biasprm[motor, 1]:  # of a velocity servo, gain and bias are one number
+                model.actuator_biasprm[motor, 2] *= value
 
     def changes(self, z: np.ndarray, draws: np.ndarray) -> tuple[FileChange, ...]:
         """What a file with ``z`` (N,) has otherwise, with central 90 % ranges of ``draws`` (D, N)."""

@@ -21,6 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from invdyn.diagnosis.assessment.result import Diagnosis
@@ -31,6 +32,7 @@ from invdyn.diagnosis.write_back.file_numbers import FileNumbers
 from invdyn.diagnosis.write_back.xml_text import is_mjcf
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.body_xml import MOST_BYTES
+from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.models.bodies.whole_file import read_whole
 from invdyn.recordings import Recording
 
@@ -106,9 +108,11 @@ def refined(
 
     None where no joint has a motor of its own, or no recording is as long as three windows.
     """
+    if set(body.joint_names) - set(joint_names(mujoco.MjModel.from_xml_path(path))):
+        return None  # MuJoCo counts a ball otherwise
     numbers = FileNumbers(path, body, found)
     every = [window for each in recordings for window in windows(numbers, each)]
-    if not numbers.numbers or len(every) < 3:
+    if not any(each.quantity.endswith("gain") for each in numbers.numbers) or len(every) < 3:
         return None
     order = np.linspace(0, len(every) - 1, min(len(every), FIXED.max_refine_windows)).round().astype(int)
     held_out, fitted = ([every[n] for m, n in enumerate(order) if (m % 3 == 2) == is_last] for is_last in (True, False))

@@ -61,6 +61,9 @@ def write_back(
     wanted = correction(cause, body) if refined is None else Correction(refined.changes, {})
     mjcf = is_mjcf(content)
     new, left = rewritten(content, source, body, wanted.changes)
+    if refined is not None and left:
+        # a number that the file cannot say would be missing from those that were fitted with it
+        return write_back(diagnosis, source, body, out, recording, held_out)
     tried = None
     try:
         with atomic_path(out) as temporary:
