@@ -100,6 +100,7 @@ def drawn(model: ArmModel, shape: tuple[int, ...]) -> Any:
 def joint_weights(model: ArmModel) -> Tensor:
     """S of each joint, (K,) N·m, or N of a slide; see the top."""
     body, numbers = model.body, model.body_parameters()
+    assert isinstance(body, Body)  # the only one with links to doubt
     weight = GRAVITY * numbers.mass
     lever = torch.stack([weight[link] * size_of(numbers, link) for link in range(len(body.links))])
     own = torch.stack([lever, weight], -1)
@@ -140,7 +141,8 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
     if (moved := model.base_motion(paths)) is not None:  # gravity is then g − b̈
         felt = moved[2].contiguous()
         change = change - model.dynamics.uniform_load(q, felt, wide) + model.dynamics.uniform_load(q, felt, nominal)
-    change = change + joint_losses(*(each.unsqueeze(2) for each in joints.values()), qd)
+    offset, friction = (each.unsqueeze(2) for each in joints.values())
+    change = change + joint_losses(offset, friction, qd)
     dims, torque = contents.posterior["torque"]
     posterior = contents.posterior | {"torque": (dims, torque + change), "stated_torque": (dims, torque)}
     for name, (own, _) in model.body.described(nominal).items():

@@ -43,8 +43,11 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
     acting = tau
     if "dry_friction" in posterior:  # the torque has what joints take, which does not move the body
-        own = (posterior[name].transpose("chain", "draw", "joint") for name in ("torque_offset", "dry_friction"))
-        acting = tau - joint_losses(*(tensor(each).unsqueeze(2) for each in own), qd)
+        offset, friction = (
+            tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2)
+            for name in ("torque_offset", "dry_friction")
+        )
+        acting = tau - joint_losses(offset, friction, qd)
     numbers = BodyParameters if body is None else type(body.parameters())
     dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
     own = numbers(*(constant(kept_as(part)) for part in numbers._fields))

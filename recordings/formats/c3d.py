@@ -14,7 +14,7 @@ https://www.c3d.org/HTML/default.htm
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def _stated_frames(path: Path) -> int:
     with open(path, "rb") as file:
         head = file.read(10)
         file.seek((head[0] - 1) * 512 + 3)
-        order = "big" if file.read(1) == MIPS else "little"
+        order: Literal["big", "little"] = "big" if file.read(1) == MIPS else "little"
     first, last = (int.from_bytes(head[at : at + 2], order) for at in (6, 8))
     return last - first + 1 if last < 2**16 - 1 else 0
 
