@@ -271,7 +271,7 @@ def diagnose(
             diagnosis = diagnose_by_engine(given, *played, progress, write_back)
         with new_folder(out), whole_set():
             save(diagnosis, out)
-        say(f"engine     {diagnosis.method['engine']}")
+        say(f"engine     {diagnosis.method.get('engine', 'MuJoCo')}")
         say(verdict(diagnosis))
         for sentence in details(diagnosis):
             say(sentence)

@@ -139,7 +139,8 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     """A log, its simulation, and why MuJoCo's engine diagnoses it; None where it does not.
 
     By default it does where the file has equality constraints, tendons, muscles or lagging actuators, or where the
-    joints' own angles touch what stands in the world; and commands are known. Raises as :func:`engine_reasons`, and
+    joints' own angles touch what stands in the world; and commands are known. A log of encoders that lacks one of the
+    file's joints shows no such part. Raises as :func:`engine_reasons`, and
     InputError for options that have no part in it.
     """
     from invdyn.models.engine.needed import touched
@@ -163,6 +164,9 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     by_contact = engine == "auto" and all(reason.startswith("contact of") for reason in reasons)
     if by_contact and not touched(scene, recording.angles, recording.joint_names):
         return None
+    unseen = set(scene.joint_names) - set(recording.joint_names)
+    if engine == "auto" and not recording.keypoint_names and unseen and not by_contact:
+        return None  # a gripper's tendon, say, of an arm's log: nothing shows it
     _refuse_unused(given, UNUSED_IN_DIAGNOSIS)
     return recording, scene, reasons
 
