@@ -35,10 +35,9 @@ COMMANDS = {
     "gallery": "gallery.py",
     "gallery_growth": "gallery.py --growth 20",
     "gallery_peers": "gallery_peers.py",
-    "against_sensors": 'against_sensors.py "pendulum 3" "pendulum 4" "dfki 00" "dfki 02" "dfki 05" film arm26 '
-    "--results build/sensors.jsonl",
-    "against_sensors_kuka": 'against_sensors.py "kuka 1" "kuka 2" --results build/kuka.jsonl',
+    "against_sensors": "against_sensors.py --results build/sensors.jsonl",
     "what_is_off": "what_is_off.py",
+    "what_is_off_scales": "what_is_off.py --scales",
     "reaches": "reaches.py --first 5000 --reaches 55 --smc 0 --results build/reaches.jsonl",
     "study_size": "study.py size",
     "study_coverage": "study.py coverage --studies 58 --results build/study.jsonl",

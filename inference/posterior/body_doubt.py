@@ -25,9 +25,10 @@ lengths before keypoints.
 with S the weight of the joint's own link times its size: a link and its bearing, or motor, are as large. A joint of a
 frame without mass has the largest S of those on it.
 
-The sds are those that torque sensors bear out. A regression of three robots' sensors on these changes has the most
-evidence about here (`benchmarks/what_is_off.py --scales`), and so it has in other recordings of the same robots; with
-wider ones the bands hold more, but by less than they are wider (`benchmarks/against_sensors.py`, interval score).
+The sds are those that torque sensors bear out. In a regression of three robots' sensors on these changes all have most
+evidence at a `JOINT` of .03 or a little more, and of the body's sds the best of the robots at these, the others at
+larger ones (`benchmarks/what_is_off.py --scales`). Wider ones hold more rows, but by less than they are wider
+(interval score of `benchmarks/against_sensors.py`).
 
 Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
 """
