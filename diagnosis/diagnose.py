@@ -24,7 +24,7 @@ from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
-from invdyn.diagnosis.assessment.regression_alone import by_force, by_regression_alone
+from invdyn.diagnosis.assessment.regression_alone import by_regression_alone
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, plain
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
@@ -135,6 +135,17 @@ def diagnose(
         if progress is not None:
             progress(done, 5, f"{name}; {what}")
 
+    def ended(result: Diagnosis) -> Diagnosis:
+        """With what was not looked at of the recording, and what it is refused for."""
+        report(5, "done")
+        said = {}
+        if (unused := left_out(_each(recording), rules)) is not None:
+            said[LEFT_OUT] = unused
+        if refused:
+            words = "; ".join(refused)
+            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {words}"
+        return replace(result, method=result.method | said)
+
     if isinstance(without, str):
         raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")
     for name in without:
@@ -196,10 +207,9 @@ def diagnose(
     if said is not None and interim is not None:
         interim(said)
     if robot and said is not None and said.far_gains:
-        alone = by_regression_alone(said, bound, seed, passive, refused)
+        alone = by_regression_alone(said, bound, seed, passive)
         if alone is not None:
-            report(5, "done")
-            return alone
+            return ended(alone)
     report(1, "screen and refine")
     found = _searched(bound, without, workers, start_of(said if robot else None, bound, passive))
     bound = found.problem
@@ -252,12 +262,7 @@ def diagnose(
     result = replace(result, regression=said, closing=closing)
     if robot and said is not None and closing is not None and closing.shown == REGRESSION:
         result = replace(result, regressed=regression_cause(said, bound, passive))
-    if (unused := left_out(_each(recording), rules)) is not None:
-        result = replace(result, method=result.method | {LEFT_OUT: unused})
-    if refused:
-        result = replace(result, method=result.method | {REFUSED: by_force(refused)})
-    report(5, "done")
-    return result
+    return ended(result)
 
 
 def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:

@@ -461,7 +461,6 @@ class Fixed:
     engine_settled: float = number(0.2, "posterior sd", "of a number's change that ends them", "chosen")
     engine_shorter: int = number(2, "steps", "that are tried, each a quarter of the last", "effort")
     engine_gain: float = number(0.3, "nats", "that a step must gain", "chosen")
-    engine_effects: int = number(3, "effects", "at once, by default", "effort")
     engine_draws: int = number(4000, "draws", "of a cause's numbers", "effort")
     engine_usual: float = number(0.3, "of a usual force", "that an effect's is, one sd", "chosen")
     engine_speed_noise: float = number(1e-3, "usual speeds", "noise of velocities in a row", "chosen")
@@ -484,6 +483,7 @@ class Fixed:
     start_gains: tuple[float, ...] = number(
         (1.0, 0.3, 0.1, 0.03, 0.01), "1", "times a file's gain, that a fit may start from", "chosen"
     )
+    refine_draws: int = number(50, "draws", "of the fit's numbers at least", "effort")
     friction_sd: float = number(1.5, "log", "of a friction's number, about the regression's", "stated")
     armature_sd: float = number(1.0, "log", "of an armature, about the regression's", "stated")
     impedance_sd: float = number(3.0, "log", "of 1 − d, the softness of a file's dry friction", "stated")

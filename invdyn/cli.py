@@ -255,11 +255,10 @@ def diagnose(
         raise InputError("--write-back and --ensemble correct copies of a file: give --body, and no person's height")
     if write_back is not None:
         check_write_back(str(given.body), write_back)
-    copies = None
-    if ensemble is not None:
+    count, copies = ensemble or (0, None)
+    if copies is not None:
         from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble
 
-        count, copies = ensemble
         check_ensemble(count)
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
         members = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
@@ -271,11 +270,8 @@ def diagnose(
             diagnosis = diagnose_by_engine(given, *played, progress, write_back)
         with new_folder(out), whole_set():
             save(diagnosis, out)
-        say(f"engine     {diagnosis.method.get('engine', 'MuJoCo')}")
-        say(verdict(diagnosis))
-        for sentence in details(diagnosis):
-            say(sentence)
-        say(outputs.listing())
+        say(f"engine     {diagnosis.method['engine']}")
+        say("\n".join([verdict(diagnosis), *details(diagnosis), outputs.listing()]))
         return
     with ProgressBar() as progress:
         arguments, _ = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
@@ -286,38 +282,27 @@ def diagnose(
             checkpoint=given.checkpoint,
             interim=lambda found: say(interim(found)),
         )
-    refined = None
+    held_out, body, refined = arguments["held_out"], arguments["body"], None
+    recordings = arguments["recording"] if isinstance(arguments["recording"], list) else [arguments["recording"]]
     if write_back is not None or ensemble is not None:
         from invdyn.diagnosis.write_back.output_error import refine
 
-        recordings = arguments["recording"]
-        every = recordings if isinstance(recordings, list) else [recordings]
+        workers = arguments["workers"]
         with ProgressBar() as progress:
             refined = refine(
-                diagnosis,
-                str(given.body),
-                arguments["body"],
-                every,
-                **({} if ensemble is None else {"draws": ensemble[0]}),
-                workers=arguments["workers"],
-                progress=progress,
+                diagnosis, str(given.body), body, recordings, members=count, workers=workers, progress=progress
             )
     with new_folder(out), whole_set():
         if write_back is not None:
-            held_out, recordings = arguments["held_out"], arguments["recording"]
-            shown = held_out or (recordings[0] if isinstance(recordings, list) else recordings)
-            diagnosis = corrected(
-                diagnosis, str(given.body), arguments["body"], write_back, shown, held_out is not None, refined
-            )
+            shown = held_out or recordings[0]
+            diagnosis = corrected(diagnosis, str(given.body), body, write_back, shown, held_out is not None, refined)
             if diagnosis.written is not None and diagnosis.written.refined is None:
                 refined = None  # the copies follow the answer that the file follows
-        if ensemble is not None and copies is not None:
+        if copies is not None:
             with new_folder(copies):
-                write_ensemble(diagnosis, str(given.body), arguments["body"], copies, ensemble[0], refined)
+                write_ensemble(diagnosis, str(given.body), body, copies, count, refined)
         save(diagnosis, out, workers=arguments["workers"])
-    say(verdict(diagnosis))
-    for sentence in details(diagnosis):
-        say(sentence)
+    say("\n".join([verdict(diagnosis), *details(diagnosis)]))
     say(outputs.listing() + ("" if tracks is None else f"\n{'tracks':<10} {tracks}"))
     if copies is not None:
         say(f"ensemble   {copies}")

@@ -21,7 +21,7 @@ UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hi
 """Options that have no part in an inference by MuJoCo's engine."""
 UNUSED_IN_DIAGNOSIS = (
     *("others", "held_out", "camera", "estimate", "budget", "force", "hide_torque", "checkpoint", "scale", "base"),
-    *("calibration", "tracker"),
+    *("calibration", "tracker", "workers"),
 )
 """The same of a diagnosis."""
 
@@ -143,6 +143,7 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     file's joints shows no such part. Raises as :func:`engine_reasons`, and
     InputError for options that have no part in it.
     """
+    from invdyn.diagnosis.engine.problem import sensed
     from invdyn.models.engine.needed import touched
     from invdyn.recordings import InputError, load
     from invdyn.recordings.plane import FLAT, in_space
@@ -164,8 +165,8 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     by_contact = engine == "auto" and all(reason.startswith("contact of") for reason in reasons)
     if by_contact and not touched(scene, recording.angles, recording.joint_names):
         return None
-    unseen = set(scene.joint_names) - set(recording.joint_names)
-    if engine == "auto" and not recording.keypoint_names and unseen and not by_contact:
+    by_encoders = engine == "auto" and not recording.keypoint_names
+    if by_encoders and not by_contact and set(scene.joint_names) - set(sensed(recording, scene).joint_names):
         return None  # a gripper's tendon, say, of an arm's log: nothing shows it
     _refuse_unused(given, UNUSED_IN_DIAGNOSIS)
     return recording, scene, reasons
@@ -184,19 +185,18 @@ def diagnose_by_engine(
 
     from invdyn.diagnosis.engine.diagnose import diagnose_engine
     from invdyn.diagnosis.engine.write_back import write_back
-    from invdyn.diagnosis.rules import DEFAULT, FIXED
+    from invdyn.diagnosis.rules import DEFAULT
 
     tolerance = given.tolerance
     if tolerance is None and given.robot:
         tolerance = DEFAULT.evidence.robot_tolerance
     rules = DEFAULT if tolerance is None else DEFAULT.replace(tolerance=tolerance)
-    usual = type(given).__dataclass_fields__["max_effects"].default
     diagnosis = diagnose_engine(
         replace(recording, torques=None) if given.zero_torque else recording,
         scene,
         passive=given.zero_torque,
         without=given.excluded,
-        most=FIXED.engine_effects if given.max_effects == usual else given.max_effects,
+        most=given.max_effects,
         seed=given.seed,
         rules=rules,
         reasons=reasons,

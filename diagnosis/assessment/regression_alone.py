@@ -5,7 +5,6 @@ recording in minutes, and no cause. The regression's answer is then the first on
 file that it corrects.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,13 @@ import numpy as np
 from invdyn.diagnosis.assessment.assemble import nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import measured_regression
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
-from invdyn.diagnosis.assessment.result import NO_SEARCH, REFUSED, Diagnosis, Gap, Shrinkage
+from invdyn.diagnosis.assessment.result import NO_SEARCH, Diagnosis, Gap, Shrinkage
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.regression.regress import Regression
 
 
 def by_regression_alone(
-    regression: Regression, problem: DiagnosisProblem, seed: int, passive: bool, refused: Sequence[str] = ()
+    regression: Regression, problem: DiagnosisProblem, seed: int, passive: bool
 ) -> Diagnosis | None:
     """The diagnosis that a regression with far gains gives; None where it closes no torque on rows it has not seen."""
     body, rules = problem.model.body, problem.rules
@@ -37,20 +36,14 @@ def by_regression_alone(
         f"No causes were searched for: the log shows servo gains of {min(times):.2g} to {max(times):.2g} times the "
         "file's, and a search about the file's ends nowhere; diagnose the corrected copy (--write-back) for the rest"
     )
-    method = {NO_SEARCH: words} | ({REFUSED: by_force(refused)} if refused else {})
     return replace(
         empty,
         not_enough_data=None,
         gap=gap,
         shrinkage=Shrinkage(torque.share, torque.interval_90, True, after),
         where=replace(empty.where, joints=dict.fromkeys(names, nan)),
-        method=method,
+        method={NO_SEARCH: words},
         regression=regression,
         closing=closing,
         regressed=regression_cause(regression, problem, passive),
     )
-
-
-def by_force(refused: Sequence[str]) -> str:
-    """What a result says of a recording that was refused."""
-    return f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"

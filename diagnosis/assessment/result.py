@@ -28,8 +28,9 @@ LEFT_OUT = "left out"
 REFUSED = "refused"
 """Key of `Diagnosis.method`: mistakes of the recording that were gone past, by force."""
 STEPS = "steps"
-NO_SEARCH = "search"
 """Key of `Diagnosis.method`: that a recording is as of the file's own engine."""
+NO_SEARCH = "search"
+"""Key of `Diagnosis.method`: why no causes were searched for."""
 
 
 @dataclass(frozen=True)

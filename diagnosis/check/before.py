@@ -57,9 +57,11 @@ def check_before(
     if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible and wrong.kind not in NOT_SURE]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
         refused.append(refuse(f"{given.name}: {what}; `invdyn check` says more", force))
-    for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
+    others = [wrong for wrong in found if not wrong.by_size]
+    for n, wrong in enumerate(others):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
-        if wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None and n == 0:
+        is_first = all(earlier.kind in OF_FILE for earlier in others[:n])
+        if is_first and wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None:
             refused.append(refuse(f"{said}; `invdyn check` says more", force))
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)

@@ -6,6 +6,7 @@ have not seen, and where the gap lies.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
 from invdyn.diagnosis.engine.causes import Cause
 from invdyn.diagnosis.engine.effects import EFFECTS, Candidate, candidates
-from invdyn.diagnosis.engine.problem import EngineLog, engine_log
+from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at
 from invdyn.diagnosis.engine.search import Found, search
 from invdyn.diagnosis.prediction.predict import Scores
 from invdyn.diagnosis.problem.prior import tempered
@@ -45,7 +46,7 @@ def diagnose_engine(
     *,
     passive: bool = False,
     without: Sequence[str] = (),
-    most: int = FIXED.engine_effects,
+    most: int | None = None,
     seed: int = 0,
     rules: Rules = DEFAULT,
     reasons: Sequence[str] = (),
@@ -59,7 +60,7 @@ def diagnose_engine(
         scene: the simulation, :meth:`.Scene.of` a file.
         passive: nothing was commanded.
         without: names of effects to leave out.
-        most: effects at once, at most.
+        most: effects at once, at most; by default the rules'.
         seed: of draws and bootstraps.
         rules: to follow.
         reasons: why MuJoCo's engine was taken.
@@ -78,15 +79,15 @@ def diagnose_engine(
 
     if (count := recording.num_frames) < rules.recording.min_rows:
         reason = f"{count} rows are recorded and {rules.recording.min_rows} are needed"
-        return nothing_to_say(recording, scene, seed, passive, reason, rules)
-    if count > rules.recording.max_rows:
-        recording = recording.at(slice(0, rules.recording.max_rows))
+        nothing = nothing_to_say(recording, scene, seed, passive, reason, rules)
+        return replace(nothing, method={"engine": _engine(reasons)})
+    recording = looked_at(recording, rules)
     report(0, "bind")
     try:
         log = engine_log(recording, scene, passive=passive, rules=rules)
         report(1, "screen and refine")
         every = candidates(scene.model, log.pairs, log.sizes, without)
-        found = search(log, every, most)
+        found = search(log, every, most or rules.search.max_effects)
     except Diverged as error:
         raise InputError(f"{recording.name}: {error}: look at masses, units and the first pose") from error
     report(2, "describe")
@@ -285,12 +286,16 @@ def _tracks(
     )
 
 
+def _engine(reasons: Sequence[str]) -> str:
+    return "dynamics by MuJoCo's own step" + (f": {'; '.join(reasons)}" if reasons else "")
+
+
 def _method(
     log: EngineLog, found: Found, every: Sequence[Candidate], reasons: Sequence[str], rows: int
 ) -> dict[str, str]:
     used = len(log.observations)
     return {
-        "engine": "dynamics by MuJoCo's own step" + (f": {'; '.join(reasons)}" if reasons else ""),
+        "engine": _engine(reasons),
         "rows": f"the first {used} of {rows} rows" if used < rows else f"{used} rows",
         "candidates": f"{len(every)} effects at their places; {len(found.causes)} causes refined",
         "evidence": "by cubature Kalman filters, each about its own numbers; the residual torque's size integrated "

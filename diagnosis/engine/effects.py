@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.diagnosis.engine import model_numbers as own
-from invdyn.diagnosis.engine.model_numbers import Place, Read, Write
+from invdyn.diagnosis.engine.model_numbers import HINGE, SLIDE, Place, Read, Write
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.engine.contacts import is_fixed
@@ -25,10 +25,11 @@ from invdyn.models.engine.scene import geom_name
 
 ROUND = (2, 3, 5)
 """Spheres, capsules and cylinders, in MuJoCo's numbers: shapes with a radius."""
-HINGE, SLIDE = 3, 2
 SEVERAL = ", "
 """Between names of pairs."""
 CONNECT, OF_JOINTS, OF_TENDONS = 0, 2, 3
+OF_A_JOINT = 1
+"""What a fixed tendon is wrapped by."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Candidate:
     def units(self, model: Any) -> list[str]:
         """Of its numbers."""
         straight = self.place.kind in ("joint", "equality") and not _turns(model, self.place)
-        straight |= self.place.kind == "tendon"
+        straight |= self.place.kind == "tendon" and not _winds(model, self.place.number)
         force, way = ("N", "m") if straight else ("N·m", "rad")
         return [number.unit.replace("F", force).replace("x", way) for number in self.effect.numbers]
 
@@ -126,6 +127,14 @@ def _turns(model: Any, place: Place) -> bool:
             return False
         return bool(model.jnt_type[int(model.eq_obj1id[place.number])] == HINGE)
     return bool(model.jnt_type[place.number] == HINGE)
+
+
+def _winds(model: Any, tendon: int) -> bool:
+    """Whether a tendon is a sum of hinges' angles."""
+    first = int(model.tendon_adr[tendon])
+    if model.wrap_type[first] != OF_A_JOINT:
+        return False
+    return bool(model.jnt_type[int(model.wrap_objid[first])] == HINGE)
 
 
 def joints(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 Pair = tuple[int, int]
+HINGE, SLIDE = 3, 2
+"""MuJoCo's numbers of joints."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ keypoints is what a smooth motion does not explain, and its scale is found with 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from invdyn.diagnosis.engine.cubature_filter import cubature_filter
-from invdyn.diagnosis.engine.model_numbers import Pair
+from invdyn.diagnosis.engine.model_numbers import HINGE, Pair
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.problem.regime import Regime, regimes
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
@@ -26,6 +26,9 @@ from invdyn.models.engine.contacts import touching_pairs
 from invdyn.models.engine.drives import Given, JointTorques
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording
+
+AT_JOINTS = (0, 1)
+"""Actuators at a joint, in MuJoCo's numbers."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,11 @@ def engine_log(recording: Recording, scene: Scene, *, passive: bool = False, rul
     return replace(log, pairs=touching_pairs(model, path))
 
 
+def looked_at(recording: Recording, rules: Rules) -> Recording:
+    """Its first rows, as many as a diagnosis takes."""
+    return recording.at(slice(0, rules.recording.max_rows))
+
+
 def commands(recording: Recording, scene: Scene, passive: bool) -> Given:
     """Controls and generalised forces, from each row to the next."""
     rows = recording.num_frames
@@ -127,7 +135,25 @@ def commands(recording: Recording, scene: Scene, passive: bool) -> Given:
             forces[:, scene.joint_names.index(name)] = values
         else:
             raise _unknown(recording, name, scene)
+    _check_servos(recording, scene)
     return Given(controls, forces)
+
+
+def _check_servos(recording: Recording, scene: Scene) -> None:
+    """Raise InputError where a joint's torque is logged and a servo of it has no target: it would pull to 0."""
+    model = scene.model
+    assert recording.torques is not None  # :func:`commands` asked
+    seen = np.isfinite(recording.torques).any(0)
+    logged = {name for name, has in zip(recording.joint_names, seen, strict=True) if has}
+    for number, name in enumerate(scene.actuator_names):
+        if model.actuator_trntype[number] not in AT_JOINTS or not model.actuator_biasprm[number, 1:3].any():
+            continue
+        joint = model.joint(int(model.actuator_trnid[number, 0])).name
+        if name not in logged and joint in logged:
+            raise InputError(
+                f"{recording.name}: expected {name}_torque, the target of the servo at {joint!r}, as {joint}_torque is "
+                "logged there, got none: log what the servo is given, or take it out of the file"
+            )
 
 
 def sensed(recording: Recording, scene: Scene) -> Recording:
@@ -139,7 +165,24 @@ def sensed(recording: Recording, scene: Scene) -> Recording:
     if unknown := [name for name in names if name not in scene.joint_names]:
         raise _unknown(recording, unknown[0], scene)
     angles = recording.angles[:, seen] if seen else None
+    _check_ranges(recording, scene, seen)
     return replace(recording, angles=angles, torques=None, joint_names=names)
+
+
+def _check_ranges(recording: Recording, scene: Scene, seen: Sequence[int]) -> None:
+    """Raise InputError for a hinge that is seen beyond its stops by more than half a turn: its unit is another."""
+    assert recording.angles is not None
+    for k in seen:
+        joint = scene.model.joint(recording.joint_names[k])
+        if not scene.model.jnt_limited[joint.id] or scene.model.jnt_type[joint.id] != HINGE:
+            continue
+        low, high = joint.range
+        shown = recording.angles[:, k]
+        if np.nanmin(shown) < low - np.pi or np.nanmax(shown) > high + np.pi:
+            raise InputError(
+                f"{recording.name}: expected angles of {recording.joint_names[k]!r} from {low:.3g} to {high:.3g} rad, "
+                f"its range, got {np.nanmin(shown):.3g} to {np.nanmax(shown):.3g}: --units deg if they are degrees"
+            )
 
 
 def _unknown(recording: Recording, name: str, scene: Scene) -> InputError:

@@ -111,7 +111,7 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _floored(values: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """At least ``FIXED.engine_least`` of the largest of those of the same unit, and more than zero."""
+    """At least `engine_least` of the largest of those of the same unit, and more than zero."""
     out = np.maximum(values, 1e-9)
     for kind in (turns, ~turns):
         if kind.any():

@@ -21,9 +21,9 @@ import torch
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, Written
 from invdyn.diagnosis.engine.cubature_filter import cubature_filter
-from invdyn.diagnosis.engine.effects import EFFECTS, HINGE, SEVERAL, Candidate, contacts, pair_name
-from invdyn.diagnosis.engine.model_numbers import Place, changed
-from invdyn.diagnosis.engine.problem import EngineLog, engine_log
+from invdyn.diagnosis.engine.effects import EFFECTS, SEVERAL, Candidate, contacts, pair_name
+from invdyn.diagnosis.engine.model_numbers import HINGE, Place, changed
+from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.diagnosis.write_back.mjcf import INCLUDED
@@ -43,11 +43,14 @@ SHAPES = {
     "pos": "geom_pos",
     "quat": "geom_quat",
 }
+SPHERE = 2
 TURNS = ("euler", "axisangle", "xyaxes", "zaxis")
 NO_WORD = "the file has no word for it"
 FROM_SHAPE = "its inertia follows from its shape: write an inertial element beside it"
 ENDS = "the shape is placed by its ends: write it there"
 GAIN = "its actuator says its force otherwise than by gear, kp, kv or force: multiply gain and bias by that factor"
+LIMITED = "its force is limited before the gear: multiply gear and forcerange as the motor has it"
+ELSEWHERE = "it is placed by a frame, or by a mesh's centre: move it there"
 LAG = "its actuator says its lag otherwise than by timeconst: multiply it there"
 
 
@@ -67,13 +70,7 @@ def write_back(
         temporary.write_bytes(new)
         there = Scene.of(Path(temporary), dimensions=scene.dimensions, where=str(out))
         tried = _tried(scene, there, recording, passive, diagnosis.rules)
-    changes = tuple(
-        {
-            "place": each.place, "quantity": each.quantity, "from": each.before, "to": each.after,
-            "interval_90": list(each.interval_90), "unit": each.unit, "effect": each.effect,
-        }
-        for each in written
-    )  # fmt: skip
+    changes = tuple(each.to_json() for each in written)
     return replace(diagnosis, written=Written(str(out), changes, unsaid, rollout=tried))
 
 
@@ -126,13 +123,20 @@ class _Writer:
         def children(section: str) -> list[Element]:
             return [e for e in outside if e.parent is not None and e.parent.tag == section]
 
+        bodies = [e for e in outside if e.tag == "body" and e.inside("worldbody")]
+
+        def of_bodies(*tags: str) -> list[Element]:
+            """In MuJoCo's order: body by body, and within one as the text has them."""
+            own = [e for e in outside if e.tag in tags and e.inside("worldbody")]
+            return sorted(own, key=lambda e: bodies.index(body) if (body := _body(e)) is not None else -1)
+
         self.kinds = {
-            "joint": ([e for e in outside if e.tag in ("joint", "freejoint") and e.inside("worldbody")], model.njnt),
+            "joint": (of_bodies("joint", "freejoint"), model.njnt),
             "tendon": (children("tendon"), model.ntendon),
-            "geom": ([e for e in outside if e.tag == "geom" and e.inside("worldbody")], model.ngeom),
+            "geom": (of_bodies("geom"), model.ngeom),
             "equality": (children("equality"), model.neq),
             "actuator": (children("actuator"), model.nu),
-            "link": ([e for e in outside if e.tag == "body" and e.inside("worldbody")], model.nbody - 1),
+            "link": (bodies, model.nbody - 1),
         }
 
     def element(self, kind: str, number: int) -> Element | None:
@@ -179,10 +183,12 @@ class _Writer:
                 return INCLUDED
             if attribute in ("pos", "quat") and "fromto" in element.attributes:
                 return ENDS
+            if attribute in ("pos", "quat") and (element.inside("frame") or _is_mesh(self.model, geom)):
+                return ELSEWHERE
             body = int(self.model.geom_bodyid[geom])
             if attribute == "size" and body and self._inertial(body) is None:
                 return FROM_SHAPE
-            count = len(element.attributes.get("size", "").split()) if attribute == "size" else None
+            count = _sizes(self.model, geom, element) if attribute == "size" else None
             found.append((element, _row(new[geom][:count])))
         if not found:
             return "the pair stands in <contact>: write it there"
@@ -218,7 +224,9 @@ class _Writer:
         model, own = self.model, element.attributes
         if attribute == "gear":
             if element.tag == "motor":
-                gear = np.trim_zeros(model.actuator_gear[number] * value, "b")
+                if model.actuator_forcelimited[number]:
+                    return LIMITED
+                gear = np.trim_zeros(model.actuator_gear[number], "b") * value
                 self.text.change(element, comment, gear=_row(gear))
                 return None
             keys = {"position": ("kp", "kv"), "velocity": ("kv",)}.get(element.tag)
@@ -247,6 +255,7 @@ def _tried(before: Scene, after: Scene, recording: Recording, passive: bool, rul
 
     if recording.angles is None:
         return None
+    recording = looked_at(recording, rules)
     try:
         off = [replay_errors(engine_log(recording, scene, passive=passive, rules=rules)) for scene in (before, after)]
     except Diverged:
@@ -286,6 +295,24 @@ def replay_errors(log: EngineLog) -> dict[str, float]:
         off.append(angles[:, columns] - seen[starts + step])
     errors = np.sqrt(np.nanmean(np.concatenate(off) ** 2, 0))
     return dict(zip(log.recording.joint_names, errors.tolist(), strict=True))
+
+
+def _body(element: Element) -> Element | None:
+    """The body that an element stands in; None in the world."""
+    parent = element.parent
+    while parent is not None and parent.tag not in ("body", "worldbody"):
+        parent = parent.parent
+    return parent if parent is not None and parent.tag == "body" else None
+
+
+def _is_mesh(model: Any, geom: int) -> bool:
+    """Whether a geom is a mesh, which MuJoCo places by its centre."""
+    return bool(model.geom_dataid[geom] >= 0)
+
+
+def _sizes(model: Any, geom: int, element: Element) -> int:
+    """How many numbers the size of a round shape has in the file: a sphere's radius, and half a length besides."""
+    return 1 if model.geom_type[geom] == SPHERE or "fromto" in element.attributes else 2
 
 
 def _said(value: float) -> str:

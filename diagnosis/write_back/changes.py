@@ -51,6 +51,18 @@ class FileChange:
         """What it is, as it is named where it cannot be written."""
         return f"{self.quantity} of {self.place}" if self.place else self.quantity
 
+    def to_json(self) -> dict[str, Any]:
+        """What a diagnosis.json has of it."""
+        return {
+            "place": self.place,
+            "quantity": self.quantity,
+            "from": self.before,
+            "to": self.after,
+            "interval_90": list(self.interval_90),
+            "unit": self.unit,
+            "effect": self.effect,
+        }
+
     @property
     def comment(self) -> str:
         """Its comment in a file."""

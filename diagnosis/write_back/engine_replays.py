@@ -35,7 +35,7 @@ class Window:
         given: (S, G) controls and applied torques in each step of the engine.
         step: s.
         times: (R,) of the rows, s from the first state on.
-        angle: (R, K) at these, NaN where missing.
+        angle: (R, K) at these.
     """
 
     state: np.ndarray
@@ -94,8 +94,11 @@ class Replays:
         self.data = [mujoco.MjData(model) for _ in range(workers)]
 
     def errors(self, z: np.ndarray, window: Window) -> np.ndarray:
-        """What models with numbers (B, N) are off by (B, R, K), rad, up to `replay_runs_away`."""
-        models = [self.numbers.model(each) for each in z]
+        """What models with numbers (B, N) are off by, as :meth:`off`."""
+        return self.off([self.numbers.model(each) for each in z], window)
+
+    def off(self, models: list["mujoco.MjModel"], window: Window) -> np.ndarray:
+        """What models are off by (B, R, K), rad, up to `replay_runs_away`; their time step is changed."""
         first = mujoco.MjData(models[0])
         first.qpos[self.at], first.qvel[self.of] = np.split(window.state, 2)
         start = np.empty(mujoco.mj_stateSize(models[0], STATE))
@@ -117,4 +120,4 @@ class Replays:
         off = (1 - part) * angle[:, row] + part * angle[:, row + 1] - window.angle
         worst = FIXED.replay_runs_away
         off = np.nan_to_num(off, nan=worst, posinf=worst, neginf=-worst)
-        return np.where(np.isfinite(window.angle), np.clip(off, -worst, worst), 0.0)
+        return np.clip(off, -worst, worst)

@@ -20,7 +20,8 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import IMPEDANCE, FileChange
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, FileChange
+from invdyn.diagnosis.write_back.mjcf import body_of, shares_its_mass
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
@@ -78,12 +79,14 @@ class FileNumbers:
         self.body, self.path = body, path
         self.nominal = mujoco.MjModel.from_xml_path(path)
         after = {(each.place, each.quantity): each.after for each in found}
+        numbers = [joint_names(self.nominal).index(name) for name in body.joint_names]
+        self.driven = [  # joints (k, number in the model) that have one motor, of their own
+            (k, number)
+            for k, (number, parts) in enumerate(zip(numbers, body.joint_parts, strict=True))
+            if parts is not None and parts.motor and len(actuators_of(mujoco, self.nominal, number)) == 1
+        ]
+        self.dofs = self.nominal.jnt_dofadr[[number for _, number in self.driven]]
         self.numbers = (*self._of_joints(after), *self._of_links(after))
-
-    @property
-    def filed(self) -> np.ndarray:
-        """The file's own z (N,), from priors about the file."""
-        return np.array([each.mean for each in FileNumbers(self.path, self.body).numbers])
 
     def starts(self) -> np.ndarray:
         """Vectors (C, N) to start a fit from: the priors' means, and the file's with gains of a ladder."""
@@ -117,14 +120,12 @@ class FileNumbers:
         return np.array([each.sd for each in self.numbers])
 
     def _of_joints(self, after: Mapping[tuple[str, str], float]) -> list[Number]:
-        model, found = self.nominal, []
+        found = []
         dynamics, own = dynamics_for(self.body), self.body.parameters()
         typical = typical_torque(dynamics, own).tolist()
         inertia = dynamics.typical_inertia(own).tolist()
-        for k, (name, given) in enumerate(zip(self.body.joint_names, self.body.joint_parts, strict=True)):
-            number, parts = joint_names(model).index(name), given or NOTHING
-            if len(actuators_of(mujoco, model, number)) != 1 or parts.motor is None:
-                continue
+        for k, _ in self.driven:
+            name, parts = self.body.joint_names[k], self.body.joint_parts[k] or NOTHING
             drag = parts.servo_damping
             damping = after.get((name, "damping"), parts.damping) + after.get((name, SERVO_DAMPING), drag)
             friction = after.get((name, "friction"), parts.friction)
@@ -139,7 +140,7 @@ class FileNumbers:
             ):
                 found.append(Number(name, quantity, filed, float(np.log(max(value, least))), sd))
         if found:
-            soft = float(1 - model.dof_solimp[:, 0].max())
+            soft = float(1 - self.nominal.dof_solimp[self.dofs, 0].max())
             found.append(Number("", IMPEDANCE, 1 - soft, float(np.log(soft)), FIXED.impedance_sd))
         return found
 
@@ -149,10 +150,7 @@ class FileNumbers:
         for k, name in enumerate(self.body.link_names):
             if self.body.dimensions != 3 or not self.body.moved_by(k):
                 continue  # of a chain in the plane a centre is no point of the file's body
-            body = self._moved_by(k)
-            if any(
-                self._welded(b, body) and self.nominal.body_mass[b] > 0 for b in range(body + 1, self.nominal.nbody)
-            ):
+            if shares_its_mass(self.nominal, body_of(self.nominal, self.body, k)):
                 continue
             own = inertia_of(self.body.parameters(), k)
             mass, com = own.mass.item(), own.com.tolist()
@@ -166,27 +164,14 @@ class FileNumbers:
                 found.append(Number(name, f"com_{axis}", value, after.get((name, f"com_{axis}"), value), size))
         return found
 
-    def _moved_by(self, link: int) -> int:
-        joint = self.body.joint_names[self.body.moved_by(link)[-1]]
-        return int(self.nominal.jnt_bodyid[joint_names(self.nominal).index(joint)])
-
-    def _welded(self, child: int, to: int) -> bool:
-        while child > to:
-            if self.nominal.body_jntnum[child]:
-                return False
-            child = int(self.nominal.body_parentid[child])
-        return child == to
-
     def model(self, z: np.ndarray) -> "mujoco.MjModel":
         """The compiled file with the numbers ``z`` (N,)."""
         model = copy.copy(self.nominal)
         for number, own in zip(self.numbers, z, strict=True):
             value = number.value(own)
             if number.quantity == IMPEDANCE:
-                driven = {n.place for n in self.numbers if n.quantity == "friction"}
-                for joint in driven:
-                    model.dof_solimp[model.jnt_dofadr[joint_names(model).index(joint)], :2] = value
-            elif number.place in self.body.link_names and (number.quantity == "mass" or number.quantity[:3] == "com"):
+                model.dof_solimp[self.dofs, :2] = value
+            elif number.quantity.startswith(OF_LINK):
                 self._put_in_link(model, number, value)
             else:
                 self._put_in_joint(model, number, value)
@@ -194,7 +179,7 @@ class FileNumbers:
         return model
 
     def _put_in_link(self, model: "mujoco.MjModel", number: Number, value: float) -> None:
-        body = self._moved_by(self.body.link_names.index(number.place))
+        body = body_of(model, self.body, self.body.link_names.index(number.place))
         if number.quantity == "mass":
             model.body_mass[body] = value
         else:
@@ -236,8 +221,7 @@ class FileNumbers:
     def _split(self, change: FileChange) -> list[FileChange]:
         """Damping in the joint and in its servo, which is the file's while the whole is larger."""
         if change.quantity == IMPEDANCE:
-            joints = dict.fromkeys(n.place for n in self.numbers if n.quantity == "friction")
-            return [replace(change, place=joint) for joint in joints]
+            return [replace(change, place=self.body.joint_names[k]) for k, _ in self.driven]
         if change.quantity != "damping":
             return [change]
         drag = (self.body.joint_parts[self.body.joint_names.index(change.place)] or NOTHING).servo_damping

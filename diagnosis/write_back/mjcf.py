@@ -156,7 +156,7 @@ class Writer:
     def _payload(self, change: FileChange) -> str | None:
         assert self.body.hand is not None  # as a payload was found there
         link, site = self.body.hand
-        number = self._moved_by(link)
+        number = body_of(self.model, self.body, link)
         element = self._body(number)
         if element is None:
             return INCLUDED
@@ -171,7 +171,7 @@ class Writer:
 
     def write_gravity(self, changes: Sequence[FileChange]) -> str | None:
         """The option's gravity, of a chain in the plane the coordinates across its hinges."""
-        axes = (0, 1, 2) if self.body.dimensions == 3 else self._plane(self._joint_of(0))
+        axes = (0, 1, 2) if self.body.dimensions == 3 else self._plane(joint_of(self.model, self.body, 0))
         gravity = self.model.opt.gravity.copy()
         for change in changes:
             gravity[axes[AXES.index(change.quantity[-1])]] = change.after
@@ -189,12 +189,11 @@ class Writer:
     def write_inertial(self, link: str, changes: Sequence[FileChange]) -> str | None:
         """A link's inertial element with other numbers; None where that could be done, else why not."""
         k = self.body.link_names.index(link)
-        number = self._moved_by(k)
+        number = body_of(self.model, self.body, k)
         element = self._body(number)
         if element is None:
             return INCLUDED
-        fixed = [b for b in range(number + 1, self.model.nbody) if self._welded(b, number)]
-        if any(self.model.body_mass[b] > 0 for b in fixed):
+        if shares_its_mass(self.model, number):
             return "the link is of several bodies that are fixed to each other"
         if any(c.attributes.get("inertiafromgeom") == "true" for c in self.text.found("compiler")):
             return 'its compiler takes all inertias from geoms (inertiafromgeom="true")'
@@ -233,19 +232,6 @@ class Writer:
             self.text.insert(element, f"<inertial {attributes}/>", f"invdyn: {said}")
         return None
 
-    def _welded(self, child: int, to: int) -> bool:
-        while child > to:
-            if self.model.body_jntnum[child]:
-                return False
-            child = int(self.model.body_parentid[child])
-        return child == to
-
-    def _joint_of(self, link: int) -> int:
-        return joint_names(self.model).index(self.body.joint_names[self.body.moved_by(link)[-1]])
-
-    def _moved_by(self, link: int) -> int:
-        return int(self.model.jnt_bodyid[self._joint_of(link)])
-
     def _body(self, number: int) -> Element | None:
         named = [e for e in self.bodies if e.attributes.get("name") == self.model.body(number).name]
         if len(named) == 1:
@@ -258,7 +244,7 @@ class Writer:
 
     def _in_body(self, number: int, link: int, point: np.ndarray) -> np.ndarray:
         """A ``point`` of a link (n,) m, on a line in the plane or in its frame, in the frame of a body of it."""
-        joint = self._joint_of(link)
+        joint = joint_of(self.model, self.body, link)
         if len(point) == 3:  # a link's frame is that of its first body, at its last hinge
             hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
             return point + self.model.jnt_pos[joint] * hinge
@@ -268,6 +254,25 @@ class Writer:
         point[u] += far * np.cos(heading)
         point[v] += far * np.sin(heading)
         return self.data.xmat[number].reshape(3, 3).T @ (point - self.data.xpos[number])
+
+
+def joint_of(model: Any, body: ArticulatedBody, link: int) -> int:
+    """The last joint that moves a link, in the compiled model."""
+    return joint_names(model).index(body.joint_names[body.moved_by(link)[-1]])
+
+
+def body_of(model: Any, body: ArticulatedBody, link: int) -> int:
+    """The compiled model's body that a link begins with."""
+    return int(model.jnt_bodyid[joint_of(model, body, link)])
+
+
+def shares_its_mass(model: Any, number: int) -> bool:
+    """Whether bodies that weigh something are fixed to that one."""
+    fixed = {number}
+    for child in range(number + 1, model.nbody):
+        if not model.body_jntnum[child] and int(model.body_parentid[child]) in fixed:
+            fixed.add(child)
+    return any(model.body_mass[child] > 0 for child in fixed - {number})
 
 
 def _said(value: float) -> str:

@@ -15,6 +15,7 @@ simulation lacks is then in its width, and a number of which the logs say nothin
 Shapes: N numbers (:mod:`.file_numbers`), B models, W windows, R rows of one, K joints. Units: rad, s.
 """
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -79,17 +80,18 @@ def refine(
     body: ArticulatedBody,
     recordings: Sequence[Recording],
     *,
-    draws: int = 50,
+    members: int = 0,
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> OutputError | None:
-    """The regression's answer to a robot's logs, refined in MuJoCo; ``draws`` are for an ensemble.
+    """The regression's answer to a robot's logs, refined in MuJoCo; an ensemble has so many ``members``.
 
     None where the file is no MJCF, the answer is not the regression's, or the fit replays held-out windows no better.
     """
     if diagnosis.regressed is None or not is_mjcf(read_whole(source, MOST_BYTES)):
         return None
     found = correction(diagnosis.regressed, body).changes
+    draws = max(members, FIXED.refine_draws)
     result = refined(recordings, str(source), body, found, draws, diagnosis.seed, workers, progress)
     return result if result is not None and result.is_better else None
 
@@ -130,10 +132,13 @@ def refined(
         coverage = _coverage(replay, members, held_out, _floor(fitted))
         if coverage >= FIXED.ensemble_coverage:
             break
-    rms = {}
-    for who, own in (("file", numbers.filed), ("regression", found_by_regression), ("refined", z)):
-        off = np.concatenate([replay.errors(own[None], each)[0] for each in held_out])
-        rms[who] = dict(zip(body.joint_names, np.sqrt((off**2).mean(0)).tolist(), strict=True))
+    models = [copy.copy(numbers.nominal), numbers.model(found_by_regression), numbers.model(z)]
+    off = np.concatenate([replay.off(models, each) for each in held_out], 1)
+    by_joint = np.sqrt((off**2).mean(1)).tolist()
+    rms = {
+        who: dict(zip(body.joint_names, each, strict=True))
+        for who, each in zip(("file", "regression", "refined"), by_joint, strict=True)
+    }
     return OutputError(numbers, numbers.changes(z, members), members, rms, coverage, len(order))
 
 
@@ -196,8 +201,8 @@ def _report(progress: Callable[[int, int, str], None] | None, what: str, done: i
 
 def _floor(replayed: Sequence[Window]) -> np.ndarray:
     """Errors s (K,) below which less does not count, rad."""
-    moved = np.concatenate([window.angle - np.nanmean(window.angle, 0) for window in replayed])
-    return np.maximum(FIXED.refine_floor * np.sqrt(np.nanmean(moved**2, 0)), FIXED.min_replay_noise)
+    moved = np.concatenate([window.angle - window.angle.mean(0) for window in replayed])
+    return np.maximum(FIXED.refine_floor * np.sqrt((moved**2).mean(0)), FIXED.min_replay_noise)
 
 
 def _coverage(replay: Replays, members: np.ndarray, replayed: Sequence[Window], floor: np.ndarray) -> float:

@@ -46,16 +46,17 @@ def write_back(
     recording: Recording,
     held_out: bool,
     refined: Refined | None = None,
+    why: str = "no cause was found",
 ) -> Diagnosis:
     """The diagnosis with what was written: a corrected copy of ``source``, the file of ``body``, as ``out``.
 
     ``recording`` is replayed in both, where MuJoCo reads them; ``held_out`` says whether the causes were found on
     another one; ``refined`` are the numbers of an output-error fit (:mod:`.output_error`). Without a gap, or a cause,
-    nothing is written, and that is said. Raises OSError where the file cannot be written.
+    nothing is written, and that is said, of a cause with ``why``. Raises OSError where the file cannot be written.
     """
     cause = best(diagnosis)
     if cause is None:
-        why = "there is no gap that a file should change for" if not diagnosis.gap.detected else "no cause was found"
+        why = why if diagnosis.gap.detected else "there is no gap that a file should change for"
         return replace(diagnosis, written=Written(str(out), (), {}, why))
     content = read_whole(source, body_xml.MOST_BYTES)
     wanted = correction(cause, body) if refined is None else Correction(refined.changes, {})
@@ -74,21 +75,11 @@ def write_back(
                 raise _Worse  # so that this file does not stay
     except _Worse:
         # MuJoCo has the last word: the file then follows the regression, or the search
-        next_best = diagnosis if refined is not None else replace(diagnosis, regressed=None)
-        return write_back(next_best, source, body, out, recording, held_out)
-    changes = tuple(
-        {
-            "place": each.place,
-            "quantity": each.quantity,
-            "from": each.before,
-            "to": each.after,
-            "interval_90": list(each.interval_90),
-            "unit": each.unit,
-            "effect": each.effect,
-        }
-        for each in wanted.changes
-        if each.words not in left
-    )
+        if refined is not None:
+            return write_back(diagnosis, source, body, out, recording, held_out)
+        why = "MuJoCo replays the file that the regression corrects no better than the original"
+        return write_back(replace(diagnosis, regressed=None), source, body, out, recording, held_out, why=why)
+    changes = tuple(each.to_json() for each in wanted.changes if each.words not in left)
     fit = None if refined is None else refined.to_json()
     written = Written(str(out), changes, {**wanted.unsaid, **left}, rollout=tried, refined=fit)
     return replace(diagnosis, written=written)

@@ -236,6 +236,10 @@ def _check_start(mujoco: Any, model: Any, where: str) -> None:
 
 
 def geom_name(model: Any, geom: int) -> str:
-    """Its name; that of its body, if it has none of its own."""
-    own, body = model.geom(geom).name, model.body(int(model.geom_bodyid[geom])).name
-    return body if not own or (own == f"geom{geom}" and body and body != "world") else own
+    """Its name; that of its body, if it has none of its own, with its number where others of the body touch, too."""
+    number = int(model.geom_bodyid[geom])
+    own, body = model.geom(geom).name, model.body(number).name
+    if own and (own != f"geom{geom}" or not body or body == "world"):
+        return own
+    touch = (model.geom_bodyid == number) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    return body if touch.sum() < 2 else f"{body} geom{geom}"

@@ -16,7 +16,20 @@ from invdyn.models.effects import EFFECTS
 
 ROOT = Path(room.__file__).resolve().parent
 SOURCES = {p: ast.parse(p.read_text("utf-8")) for p in sorted(ROOT.rglob("*.py"))}
-NOT_TUNED = {"SCHEMA", "Z90", "Z_90", "ROUND", "HINGE", "SLIDE", "CONNECT", "OF_JOINTS", "OF_TENDONS"}
+NOT_TUNED = {
+    "SCHEMA",
+    "Z90",
+    "Z_90",
+    "ROUND",
+    "HINGE",
+    "SLIDE",
+    "CONNECT",
+    "OF_JOINTS",
+    "OF_TENDONS",
+    "OF_A_JOINT",
+    "AT_JOINTS",
+    "SPHERE",
+}
 """A version of a file format, quantiles of the unit Gaussian, and MuJoCo's numbers of its kinds."""
 
 

@@ -1,12 +1,15 @@
 """`invdyn diagnose` takes MuJoCo's engine where the body's file and the log need it, and says why."""
 
 import json
+from dataclasses import replace
 
 import linkages
 import mujoco
 import numpy as np
 import pytest
 
+from invdyn.diagnosis_options import Diagnosed
+from invdyn.engine_input import engine_log_of
 from invdyn.models import Scene
 from invdyn.models.engine.needed import touched
 from invdyn.recordings import write_keypoint_csv
@@ -45,12 +48,34 @@ def test_from_a_log_to_a_corrected_file(gripper, run):
         (("--budget", "5"), "--budget: has no part in MuJoCo's engine"),
         (("--set", "engine=bullet"), "--set engine: expected auto, mujoco, own, got 'bullet'"),
         (("--ensemble", "2", "copies"), "--ensemble: has no part in MuJoCo's engine"),
+        (("--workers", "7"), "--workers: has no part in MuJoCo's engine"),
     ],
 )
 def test_what_has_no_part_in_it_is_refused(gripper, run, options, message):
     outcome = run("diagnose", gripper / "log.csv", "--body", gripper / "gripper.xml", *options, "--out", gripper / "f")
     assert outcome.exit_code == 2
     assert message in " ".join(outcome.output.split())
+
+
+def test_too_short_a_log_is_an_answer(gripper, run):
+    header, *rows = (gripper / "log.csv").read_text().splitlines()
+    (gripper / "short.csv").write_text("\n".join([header, *rows[:10]]))
+    outcome = run("diagnose", gripper / "short.csv", "--body", gripper / "gripper.xml", "--out", gripper / "found")
+    assert outcome.exit_code == 0, outcome.output
+    assert "Not enough data" in outcome.output
+
+
+@pytest.mark.parametrize(("logged", "taken"), [(("left", "right", "lift"), True), (("lift",), False)])
+def test_a_tendon_that_no_encoder_shows_leaves_the_fast_engine(gripper, logged, taken):
+    """Of an arm's log without its gripper."""
+    model = mujoco.MjModel.from_xml_string(linkages.HOLDING)
+    recording = linkages.log_of(model, linkages.grasp, rows=30)
+    own = [recording.joint_names.index(name) for name in (*logged, "pulled")]
+    kept = replace(recording, angles=recording.angles[:, own], torques=recording.torques[:, own],
+                   joint_names=tuple(recording.joint_names[k] for k in own))  # fmt: skip
+    write_keypoint_csv(kept, gripper / "log.csv")
+    given = Diagnosed(recordings=[str(gripper / "log.csv")], body=gripper / "gripper.xml")
+    assert (engine_log_of(given, "auto") is not None) == taken
 
 
 def test_an_arm_over_a_floor_that_it_does_not_touch():

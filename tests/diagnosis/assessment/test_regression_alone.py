@@ -58,7 +58,7 @@ def test_its_page_and_json_are_whole(found):
 def test_the_corrected_file_and_the_ensemble_are_the_output_error_fits(arm, found, tmp_path):
     path, body = arm
     logs, diagnosis = found
-    fit = refine(diagnosis, path, body, logs, draws=6)
+    fit = refine(diagnosis, path, body, logs, members=6)
     assert fit is not None
     written = write_back(diagnosis, path, body, tmp_path / "new.xml", logs[0], False, fit)
     tried = written.written.rollout["total_rms_rad"]

@@ -23,7 +23,18 @@ GROUND = """<mujoco><option timestep="0.002"/><compiler angle="radian"/><worldbo
     <geom name="foot" size=".09" friction=".7"/><geom name="heel" size=".09" pos=".1 0 0" friction=".5"/></body>
 </worldbody><actuator><position name="servo" joint="turn" kp="20" kv="1"/>
   <position name="slow" joint="turn" kp="2" kv=".1" timeconst=".05"/></actuator></mujoco>"""
+UNNAMED = """<mujoco><option timestep="0.002"/><compiler angle="radian"/>
+<default><default class="foot"><geom size=".09"/></default></default><worldbody>
+  <body name="leg" pos="0 0 .1"><joint axis="0 0 1" type="slide"/>
+    <inertial pos="0 0 0" mass="1.5" diaginertia=".1 .1 .1"/>
+    <geom class="foot" friction=".7"/>
+    <body name="toe" pos=".2 0 0"><joint axis="0 1 0"/><inertial pos="0 0 0" mass=".2" diaginertia=".01 .01 .01"/>
+      <geom size=".05" friction=".6"/></body>
+    <joint axis="0 1 0" damping=".3"/><geom class="foot" pos=".1 0 0" friction=".5"/></body>
+  <geom type="plane" size="2 2 .1" friction=".7"/></worldbody></mujoco>"""
+"""MuJoCo counts the floor first, and the leg's second joint and shape before the toe's."""
 MODELS = {
+    "unnamed": (UNNAMED, [(0, 1), (0, 2), (0, 3)]),
     "ground": (GROUND, [(0, 1), (0, 2)]),
     "holding": (linkages.HOLDING, [(0, 2), (1, 2)]),
     "rubbing": (linkages.RUBBING, []),
@@ -82,7 +93,9 @@ def test_what_is_written_is_what_was_changed(name):
                 differing += not np.array_equal(one, before)
         assert differing or candidate.name == "actuator_gain", candidate.key
         assert pushed(got) == pytest.approx(pushed(wanted), rel=1e-4), candidate.key
-    assert len(written) >= {"ground": 12, "holding": 13, "rubbing": 9, "muscles": 6}[name], sorted(written)
+    assert len(written) >= {"unnamed": 9, "ground": 12, "holding": 13, "rubbing": 9, "muscles": 6}[name], sorted(
+        written
+    )
 
 
 def test_every_effect_is_somewhere():
@@ -90,6 +103,39 @@ def test_every_effect_is_somewhere():
     assert seen == {effect.name for effect in EFFECTS}
     page = (Path(__file__).parents[3] / "docs" / "how-to" / "leg_on_the_floor.md").read_text("utf-8")
     assert all(f"`{name}`" in page for name in seen)
+
+
+def test_a_limited_motors_gain_is_said_and_not_written():
+    """Its force is limited before the gear: a larger gear would give more than was played."""
+    text = GROUND.replace(
+        '<position name="servo"', '<motor name="push" joint="turn" forcerange="-1 1"/><position name="servo"'
+    )
+    scene, found = every(text, [])
+    (candidate,) = (each for each in found if each.key == "actuator_gain.push")
+    finding, _ = findings(scene.model, candidate)
+    new, done, unsaid = rewritten(text.encode(), scene, Cause((finding,), 1.0, 0.0, 0.0))
+    assert (new, done) == (text.encode(), [])
+    assert "limited before the gear" in next(iter(unsaid.values()))
+
+
+def test_what_stands_in_a_frame_is_said_and_not_written():
+    floor = '<geom name="floor" type="plane" size="2 2 .1" friction=".7"/>'
+    text = GROUND.replace(floor, f'<frame pos="0 0 .01">{floor}</frame>')
+    scene, found = every(text, [(0, 1)])
+    (candidate,) = (each for each in found if each.key == "ground_height.floor")
+    finding, _ = findings(scene.model, candidate)
+    new, done, unsaid = rewritten(text.encode(), scene, Cause((finding,), 1.0, 0.0, 0.0))
+    assert (new, done) == (text.encode(), [])
+    assert "placed by a frame" in next(iter(unsaid.values()))
+
+
+@pytest.mark.parametrize(("joint", "unit"), [("hinge", "N·m·s/rad"), ("slide", "N·s/m")])
+def test_a_fixed_tendon_has_the_units_of_its_joints(joint, unit):
+    text = f"""<mujoco><worldbody><body><joint name="j" type="{joint}" axis="0 1 0"/><geom size=".1"/></body>
+      </worldbody><tendon><fixed name="t" stiffness="1"><joint joint="j" coef="1"/></fixed></tendon></mujoco>"""
+    scene, found = every(text, [])
+    (candidate,) = (each for each in found if each.key == "tendon_damping.t")
+    assert candidate.units(scene.model) == [unit]
 
 
 def test_friction_of_a_pair_is_the_larger_one():

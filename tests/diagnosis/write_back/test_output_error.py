@@ -52,7 +52,7 @@ def test_a_model_of_numbers_is_the_compiled_copy_of_its_changes(arm):
 
 def test_numbers_of_the_file_change_nothing(arm):
     numbers = FileNumbers(*arm)
-    assert numbers.changes(numbers.filed, numbers.filed[None]) == ()
+    assert numbers.changes(numbers.mean, numbers.mean[None]) == ()
 
 
 def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
@@ -61,7 +61,7 @@ def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
     body = Body.load(path)
     numbers = FileNumbers(str(path), body)
     (first, *_) = windows(numbers, log(body, 450, 1))
-    off = Replays(numbers).errors(numbers.filed[None], first)[0]
+    off = Replays(numbers).errors(numbers.mean[None], first)[0]
     # what the smoother misses of a first velocity is gone in half a second
     assert (np.sqrt((off[25:] ** 2).mean(0)) < 1.2 * NOISE).all()
 
