@@ -18,16 +18,22 @@ TRUE = {"kp": 12, "damping": 0.1, "friction": 0.3, "mass": 0.8, "soft": 'solimpf
 NOISE = 1e-3  # rad
 
 
-def log(body, rows, seed):
-    """What the true arm does at 50 rows/s under steps of its targets, and waves for half of the time."""
+def log(body, rows, seed, slew=np.inf):
+    """What the true arm does at 50 rows/s under steps of its targets, and waves for half of the time.
+
+    In every other window of 8 s its servos follow no faster than ``slew``, rad/s, which no file says.
+    """
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(FILE.format(**TRUE))
     data, time = mujoco.MjData(model), np.arange(rows) / 50
     steps = rng.uniform(-0.8, 0.8, (rows // 60 + 1, 2)).repeat(60, 0)[:rows]
     target = steps + 0.3 * np.sin(time[:, None] * [2.1, 2.9]) * (time[:, None] % 8 < 4)
-    angle = np.empty((rows, 2))
+    followed, angle = target.copy(), np.empty((rows, 2))
+    for row in range(1, rows):
+        most = slew / 50 if time[row] % 16 >= 8 else np.inf
+        followed[row] = followed[row - 1] + np.clip(target[row] - followed[row - 1], -most, most)
     for row in range(rows):
-        angle[row], data.ctrl[:] = data.qpos, target[row]
+        angle[row], data.ctrl[:] = data.qpos, followed[row]
         mujoco.mj_step(model, data, 5)
     torque = [servo_torque(p.servo, p.zero + p.sign * u) for p, u in zip(body.joint_parts, target.T, strict=True)]
     shown = angle + rng.normal(0, NOISE, angle.shape)

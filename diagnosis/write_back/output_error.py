@@ -116,8 +116,7 @@ def refined(
     every = [window for each in recordings for window in windows(numbers, each)]
     if not any(each.quantity.endswith("gain") for each in numbers.numbers) or len(every) < 3:
         return None
-    order = np.linspace(0, len(every) - 1, min(len(every), FIXED.max_refine_windows)).round().astype(int)
-    held_out, fitted = ([every[n] for m, n in enumerate(order) if (m % 3 == 2) == is_last] for is_last in (True, False))
+    fitted, held_out = split(every)
     replay = Replays(numbers, workers)
     some = fitted[:: FIXED.refine_first]
     report = partial(_report, progress)
@@ -139,7 +138,13 @@ def refined(
         who: dict(zip(body.joint_names, each, strict=True))
         for who, each in zip(("file", "regression", "refined"), by_joint, strict=True)
     }
-    return OutputError(numbers, numbers.changes(z, members), members, rms, coverage, len(order))
+    return OutputError(numbers, numbers.changes(z, members), members, rms, coverage, len(fitted) + len(held_out))
+
+
+def split(every: Sequence[Window]) -> tuple[list[Window], list[Window]]:
+    """Windows to fit, and every third one, which is held out; of many, `max_refine_windows` that lie evenly."""
+    order = np.linspace(0, len(every) - 1, min(len(every), FIXED.max_refine_windows)).round().astype(int)
+    return [every[n] for m, n in enumerate(order) if m % 3 != 2], [every[n] for n in order[2::3]]
 
 
 def _started(replay: Replays, replayed: Sequence[Window]) -> FileNumbers:

@@ -1,13 +1,18 @@
 """A diagnosis whose regression finds gains far from the file's: no search, and a file that MuJoCo's replays correct."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from far_servos import FILE, STATED, log
 
+from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.report.sentences import details, verdict
+from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.diagnosis.write_back.ensemble import write_ensemble
 from invdyn.diagnosis.write_back.output_error import refine
 from invdyn.diagnosis.write_back.write_back import write_back
@@ -52,6 +57,34 @@ def test_its_page_and_json_are_whole(found):
     page = render(diagnosis)
     assert "No causes were searched for" in page
     assert json.loads(json.dumps(diagnosis.to_json()))["regression"]["statements"]
+
+
+def test_a_fit_that_the_file_cannot_say_is_not_written(arm, found, tmp_path):
+    """A gain by `dampratio` is no number of its own: the regression's numbers that the file has are written."""
+    path, body = arm
+    logs, diagnosis = found
+    source = path.with_name("ratio.xml")
+    source.write_text(path.read_text().replace('kv="1"', 'dampratio="1"'))
+    refused, said = (
+        FileChange("elbow", what, 1.0, 0.5, (0.4, 0.6), "1", "output error") for what in ("servo gain", "friction")
+    )
+    fit = SimpleNamespace(changes=(refused, said), to_json=dict)
+    written = write_back(diagnosis, source, body, tmp_path / "new.xml", logs[0], False, fit).written
+    assert written.refined is None
+    assert "output error" not in {change["effect"] for change in written.changes}
+
+
+def test_it_says_why_nothing_is_written(arm, found, tmp_path):
+    path, body = arm
+    logs, diagnosis = found
+    much = Estimate(1e3, 1.0, (999.0, 1001.0), "N·m·s/rad")
+    entry = CATALOGUE["viscous_friction"]
+    finding = Finding("viscous_friction", "dynamics", {"joint": "elbow"}, {"damping": much}, {}, entry)
+    wrong = replace(diagnosis, regressed=Cause((finding,), 0.0, float("nan"), float("nan")))
+    written = write_back(wrong, path, body, tmp_path / "new.xml", logs[0], False)
+    assert not (tmp_path / "new.xml").exists()
+    (said,) = [sentence for sentence in details(written) if sentence.startswith("No corrected file was written")]
+    assert "MuJoCo replays the file that the regression corrects no better" in said
 
 
 @pytest.mark.long

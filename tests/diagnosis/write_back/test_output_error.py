@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from far_servos import FILE, NOISE, STATED, TRUE, log
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.changes import IMPEDANCE, Z_90, FileChange
 from invdyn.diagnosis.write_back.engine_replays import Replays, windows
 from invdyn.diagnosis.write_back.file_numbers import FileNumbers
-from invdyn.diagnosis.write_back.output_error import refined
+from invdyn.diagnosis.write_back.output_error import OutputError, refined, split
 from invdyn.diagnosis.write_back.write_back import rewritten
 from invdyn.models import Body
 
@@ -85,6 +86,33 @@ def test_gain_friction_and_its_softness_are_found(fit):
     soft = value(fit, "shoulder", IMPEDANCE)
     assert soft.before == pytest.approx(0.9)
     assert soft.after > 0.95  # what creeps less than that is under the floor of an error
+
+
+@pytest.mark.long
+def test_windows_that_no_number_explains_count_little_and_widen_the_ensemble(arm):
+    """Half of the windows slew: the others still say what the servo is, and the band holds what is left."""
+    path, body = arm
+    slewing = refined([log(body, 2450, seed, slew=3.0) for seed in (1, 2)], path, body, (), draws=24, seed=3)
+    for joint in ("shoulder", "elbow"):
+        gain, drag = value(slewing, joint, "servo gain"), value(slewing, joint, "servo damping")
+        assert drag.after / gain.after == pytest.approx(1.1 / TRUE["kp"] * STATED["kp"], rel=0.05)
+    assert slewing.coverage >= 0.9
+
+
+def test_every_third_window_is_held_out():
+    fitted, held_out = split(list(range(9)))
+    assert (fitted, held_out) == ([0, 1, 3, 4, 6, 7], [2, 5, 8])
+    fitted, held_out = split(list(range(200)))
+    assert len(fitted) + len(held_out) == FIXED.max_refine_windows
+    assert not {*fitted} & {*held_out}
+    assert max(fitted + held_out) == 199
+
+
+@pytest.mark.parametrize(("refined", "better"), [(0.01, True), (0.03, False), (0.2, False)])
+def test_a_fit_is_better_than_the_file_and_the_regression_or_is_not_taken(arm, refined, better):
+    rms = {"file": 0.1, "regression": 0.02, "refined": refined}
+    off = {who: {"shoulder": each, "elbow": each} for who, each in rms.items()}
+    assert OutputError(FileNumbers(*arm), (), np.zeros((1, 1)), off, 0.9, 6).is_better == better
 
 
 @pytest.mark.long
