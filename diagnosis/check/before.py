@@ -57,11 +57,9 @@ def check_before(
     if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible and wrong.kind not in NOT_SURE]:
         what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
         refused.append(refuse(f"{given.name}: {what}; `invdyn check` says more", force))
-    others = [wrong for wrong in found if not wrong.by_size]
-    for n, wrong in enumerate(others):
+    for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
-        is_first = all(earlier.kind in OF_FILE for earlier in others[:n])
-        if is_first and wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None:
+        if wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None and n == 0:
             refused.append(refuse(f"{said}; `invdyn check` says more", force))
             continue
         warnings.warn(f"{said}{f', unless it is {effect}' if effect else ''}; `invdyn check` says more", stacklevel=2)
