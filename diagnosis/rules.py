@@ -396,6 +396,7 @@ class Fixed:
         (-6.0, 1.5, 0.25), "log10", "s/r of the smoother: first, last and step, where rows are 1 s apart", "effort"
     )
     max_regression_rows: int = number(4000, "rows", "of smoothed angles; more are averaged", "effort")
+    regressor_rows: int = number(1000, "rows", "of links' regressors that are made at once", "effort")
     min_moving_share: float = number(0.2, "rows", "in which a joint turns, for those at rest not to count", "chosen")
     regression_draws: int = number(64, "draws", "of a regression's numbers, for a file and its ensemble", "effort")
     equal_servo_gain: float = number(0.1, "log", "of servos' gains, that two regressions agree to", "stated")

@@ -22,13 +22,15 @@ wide as the motion's velocity.
 Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.special import erf
 
+from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.regression.regressors import (
     base_columns,
@@ -37,12 +39,14 @@ from invdyn.diagnosis.regression.regressors import (
     link_axes,
     link_regressors,
     nominal_link_numbers,
+    unit_numbers,
 )
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
 
 INERTIAL, GAIN = "inertial_error", "actuator_gain"
+FRICTION = ("viscous_friction", "coulomb_friction")
 JOINT_KINDS = {
     "viscous_friction": (("damping", "N·m·s/rad"),),
     "coulomb_friction": (("torque", "N·m"),),
@@ -70,7 +74,7 @@ class LinearEffects:
         missing: (R, K) torque that was given, less what the file asks for: by servos with the gains that they have.
         of_file: (R, K) the same by the file's servos, in their limits.
         usable: (R, K) whether no servo is at its limits.
-        values: (P, R, K) expected torque of each column's unit; variance: (P, R, K) of it.
+        columns: expected torque of each column's unit; variance: of it.
         kinds, places, names, units: (P,) effect, joint or link, parameter, its unit.
         size: (P,) sd of the prior where an effect is as large as is usual.
         least: (P,) smallest value.
@@ -83,8 +87,8 @@ class LinearEffects:
     missing: np.ndarray
     of_file: np.ndarray
     usable: np.ndarray
-    values: np.ndarray
-    variance: np.ndarray
+    columns: Columns
+    variance: Columns
     kinds: tuple[str, ...]
     places: tuple[str, ...]
     names: tuple[str, ...]
@@ -96,79 +100,128 @@ class LinearEffects:
     cutoff: float
 
 
+@dataclass(frozen=True)
+class Expected:
+    """Along a motion what the file asks for, (R, K), and columns' means and variances, before any filter.
+
+    Of each column `labels` has its effect, the number of its joint, and which of the effect's parameters; links' come
+    last.
+    """
+
+    required: np.ndarray
+    columns: Columns
+    variance: Columns
+    labels: tuple[tuple[str, int, int], ...]
+
+    def at(self, rows: slice) -> "Expected":
+        """Some neighbouring rows of it."""
+        columns, variance = (each.map(lambda X: X[:, rows]) for each in (self.columns, self.variance))
+        return replace(self, required=self.required[rows], columns=columns, variance=variance)
+
+
+def expected(dynamics: Dynamics, body: Any, motion: MeasuredMotion, passive: bool) -> Expected:
+    """All columns of a body along a motion; where it is ``passive``, of friction and links alone."""
+    K, sign, required = motion.q.shape[1], expected_sign(motion), required_by_file(dynamics, body, motion)
+    one, none = np.ones_like(motion.q), np.zeros_like(motion.q)
+    made = {
+        "viscous_friction": [(motion.qd, motion.qd_sd**2)],
+        "coulomb_friction": [(sign, 1 - sign**2)],
+        "armature": [(motion.qdd, motion.qdd_sd**2)],
+        "joint_stiffness": [(motion.q, none), (-one, none)],
+        "constant_torque": [(one, none)],
+        "actuator_gain": [(required, none)],
+    }
+    kinds = FRICTION if passive else tuple(made)
+    labels = tuple((kind, k, n) for kind in kinds for k in range(K) for n in range(len(made[kind])))
+    at = [np.array([p for p, (_, joint, _) in enumerate(labels) if joint == k]) for k in range(K)]
+    means, variances = (
+        [np.stack([made[kind][n][m][:, k] for kind, _, n in (labels[p] for p in at[k])]) for k in range(K)]
+        for m in (0, 1)
+    )
+    links, of_links, number = _links(dynamics, body, motion)
+    every = tuple(np.concatenate(each) for each in zip(means, links, strict=True))
+    places = tuple(np.concatenate([own, len(labels) + mine]) for own, mine in zip(at, of_links, strict=True))
+    return Expected(
+        required,
+        Columns(every, places, len(labels) + number),
+        Columns(tuple(variances), tuple(at), len(labels) + number),
+        labels,
+    )
+
+
+def _links(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> tuple[list[np.ndarray], list[np.ndarray], int]:
+    """Links' columns (P_k, R) of each joint, which of all they are, and how many there are."""
+    (R, K), units = motion.q.shape, unit_numbers(body)
+    some = SimpleNamespace(**dict(zip(("q", "qd", "qdd"), np.random.default_rng(0).random((3, 3, K)), strict=True)))
+    generic = link_regressors(dynamics, body, some, units)
+    # a link moves the joints that it hangs from, and no others, in every motion
+    at = [np.flatnonzero(generic[:, :, k].any(1)) for k in range(K)]
+    found = [np.empty((len(own), R)) for own in at]
+    for begin in range(0, R, FIXED.regressor_rows):
+        rows = slice(begin, begin + FIXED.regressor_rows)
+        block = link_regressors(dynamics, body, motion.at(rows), units)
+        for k, own in enumerate(at):
+            found[k][:, rows] = block[own, :, k]
+    return found, at, len(generic)
+
+
 def linear_effects(
-    dynamics: Dynamics,
     body: Any,
     motion: MeasuredMotion,
+    along: Expected,
     passive: bool,
     rules: Rules,
     cutoff: float,
     factor: np.ndarray | float = 1.0,
 ) -> LinearEffects:
-    """All columns of a body along a motion, in frequencies up to ``cutoff``, Hz.
+    """All columns of a body ``along`` a motion, in frequencies up to ``cutoff``, Hz.
 
     ``factor`` (K,) is how many times a servo makes too much of its target's distance.
     """
-    K, joints, factors = motion.q.shape[1], body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
-    sign, required = expected_sign(motion), required_by_file(dynamics, body, motion)
+    joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
+    required, number = along.required, along.columns.number
     asked = motion.demanded / factor - motion.servo_drag
-    torque, parts = limited(body, asked) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * K
+    torque, parts = limited(body, asked) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * len(joints)
     needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
     whole = np.maximum(needed, given)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
-    one, none = np.ones_like(motion.q), np.zeros_like(motion.q)
-    middle = motion.q.mean(0)
-    made = {
-        "viscous_friction": [(motion.qd, motion.qd_sd**2)],
-        "coulomb_friction": [(sign, 1 - sign**2)],
-        "armature": [] if passive else [(motion.qdd, motion.qdd_sd**2)],
-        "joint_stiffness": [] if passive else [(motion.q, none), (-one, none)],
-        "constant_torque": [] if passive else [(one, none)],
-        "actuator_gain": [] if passive else [(required, none)],
-    }
-    values, variance, size, least, labels = [], [], [], [], []
-    for kind, columns in made.items():
-        for k in range(K):
-            for (column, spread), (name, of) in zip(columns, JOINT_KINDS[kind], strict=False):
-                here = np.zeros((2, *motion.q.shape))
-                here[:, :, k] = column[:, k], spread[:, k]
-                moved = column[:, k] - middle[k] if name == "stiffness" else column[:, k]
-                values.append(here[0])
-                variance.append(here[1])
-                found_first = kind == GAIN and factors[k] != 1.0
-                size.append(1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12))
-                filed = kind in FILED and (len(columns) == 1 or name == "stiffness")
-                own = parts[k] or NOTHING
-                own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
-                least.append(-getattr(own, FILED[kind]) - own_damping if filed else LEAST.get(kind, -np.inf))
-                labels.append((kind, joints[k], name, of))
-    links = link_regressors(dynamics, body, motion)
-    values += list(links)
-    variance += [np.zeros_like(motion.q)] * len(links)
-    own = nominal_link_numbers(body)
-    for each in own:
-        floor = max(float(np.abs(each).max()), 1e-12)
-        size += list(np.maximum(np.abs(each).ravel(), FIXED.min_link_share * floor))
-        least += [-np.inf] * each.size
-    free = np.ones(len(values), dtype=bool)
+    size, least, names = np.zeros(number), np.full(number, -np.inf), []
+    for p, (kind, k, n) in enumerate(along.labels):
+        name, of = JOINT_KINDS[kind][n]
+        column = along.columns.of(p, k)
+        moved = column - motion.q[:, k].mean() if name == "stiffness" else column
+        found_first = kind == GAIN and factors[k] != 1.0
+        size[p] = 1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12)
+        own = parts[k] or NOTHING
+        if kind in FILED and n == 0:
+            own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
+            least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
+        else:
+            least[p] = LEAST.get(kind, -np.inf)
+        names.append((kind, joints[k], name, of))
+    numbers = nominal_link_numbers(body)
+    links, free = np.arange(len(names), number), np.ones(number, dtype=bool)
+    own_numbers = np.concatenate([each.ravel() for each in (*numbers, np.zeros(0))])
+    floors = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in numbers]
+    size[links] = np.maximum(np.abs(own_numbers), FIXED.min_link_share * np.concatenate([*floors, np.zeros(0)]))
     if passive and len(links):
-        free[-len(links) :] = _but_the_largest(links, np.concatenate([each.ravel() for each in own]))
-    if (factors != 1.0).any() and len(links):
-        free[-len(links) :] = False
-    labels += [(INERTIAL, link, name, of) for name, of in link_names(body, own) for link in body.link_names]
-    kinds, places, names, units = zip(*labels, strict=True)
+        free[links] = _but_the_largest(along.columns.triangle(links), own_numbers)
+    if (factors != 1.0).any():
+        free[links] = False
+    names += [(INERTIAL, link, name, of) for name, of in link_names(body, numbers) for link in body.link_names]
+    kinds, places, parameters, units = zip(*names, strict=True)
     return LinearEffects(
         low_passed(torque - required, motion, cutoff),
         low_passed(motion.torque + motion.servo_drag - required, motion, cutoff),
         torque == asked + motion.servo_drag,
-        low_passed(np.array(values), motion, cutoff),
-        np.array(variance),
+        along.columns.map(lambda X: np.ascontiguousarray(low_passed(X.T, motion, cutoff).T)),
+        along.variance,
         kinds,
         places,
-        names,
+        parameters,
         units,
-        np.array(size),
-        np.array(least) + 0.0,
+        size,
+        least,
         whole,
         free,
         cutoff,
@@ -199,11 +252,10 @@ def limited(body: Any, torque: np.ndarray) -> np.ndarray:
     return np.asarray(torque.clip(*np.transpose(limits)))
 
 
-def _but_the_largest(links: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Which of the columns (P, R, K) of links are a base, but for the one whose nominal torque is largest."""
-    rows = links.reshape(len(links), -1).T
+def _but_the_largest(rows: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Which of links' columns, of ``rows`` (N, P), are a base, but for the one whose nominal torque is largest."""
     base, rest, factors = base_columns(rows)
-    free = np.zeros(len(links), dtype=bool)
+    free = np.zeros(rows.shape[1], dtype=bool)
     free[base] = True
     if base.size:
         torque = np.abs(own[base] + factors @ own[rest]) * np.linalg.norm(rows[:, base], axis=0)

@@ -21,13 +21,14 @@ import numpy as np
 
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import (
+    FRICTION,
     GAIN,
     INERTIAL,
     LinearEffects,
     cutoff_of,
+    expected,
     joints_of,
     linear_effects,
-    required_by_file,
 )
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
@@ -39,7 +40,6 @@ from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
-FRICTION = ("viscous_friction", "coulomb_friction")
 PLAIN: tuple[tuple[str, ...] | None, ...] = (None, FRICTION, (*FRICTION, INERTIAL))
 """What is chosen by evidence, and fits without a choice that it must not be behind."""
 
@@ -112,20 +112,23 @@ def regress(
         return None
     other = None if held_out is None else measured_motion(held_out, body, passive=passive, rules=rules)
     cutoff = min(cutoff_of(each) for each in (motion, other) if each is not None)
-    first, last = motion.split(rules.outcome.fit_share) if other is None else (motion, other)
     dynamics = dynamics_for(body)
-    gains = servo_gains(first, required_by_file(dynamics, body, first), body)
-    of = partial(linear_effects, dynamics, body, passive=passive, rules=rules, cutoff=cutoff)
+    along = expected(dynamics, body, motion, passive)
+    if other is None:
+        first, last = motion.split(rules.outcome.fit_share)
+        seen, rest = along.at(slice(len(first.time))), along.at(slice(len(first.time), None))
+    else:
+        first, last, seen, rest = motion, other, along, expected(dynamics, body, other, passive)
+    gains = servo_gains(first, seen.required, body)
+    of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff)
     for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
-        known = of(motion=first, factor=gains.factor)
+        known = of(motion=first, along=seen, factor=gains.factor)
         chosen = weighted_fit(known, first, rules, None, _columns_of(known, gains)).chosen
         if (better := _nearer(known, chosen, gains)) is gains:
             break
         gains = better
-    of = partial(of, factor=gains.factor)
-    whole = of(motion=motion)
-    known, unseen = of(motion=first), of(motion=last)
-    before = _columns_of(whole, gains)
+    known, unseen = (of(motion=m, along=a, factor=gains.factor) for m, a in ((first, seen), (last, rest)))
+    before = _columns_of(known, gains)
     fits = [weighted_fit(known, first, rules, plain, before) for plain in PLAIN]
     left = [left_by(unseen, each.chosen) for each in fits]
     size = np.maximum(np.sqrt((unseen.missing**2).mean(0)), 1e-300)
@@ -133,13 +136,17 @@ def regress(
     errors = [float(np.linalg.norm(np.hypot(np.sqrt((each**2).mean(0)), tolerated) / size)) for each in left]
     behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
     best = int(np.argmin(errors)) if behind else 0
-    fit = fits[best] if other is not None else weighted_fit(whole, motion, rules, PLAIN[best], before)
     memory = float(correlation_times(left_by(known, fits[best].chosen), first.stretch).max())
     torque = closing(unseen.of_file, left[best], memory, rules)
-    said = stated(whole, fit, gains, memory)
-    numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
     there = Unseen(last, named(known, fits[best].chosen, gains), unseen.of_file, left[best], known.cutoff, memory)
+    if other is None:
+        whole = of(motion=motion, along=along, factor=gains.factor)
+        fit = weighted_fit(whole, motion, rules, PLAIN[best], before)
+    else:
+        whole, fit = known, fits[best]
+    said = stated(whole, fit, gains, memory)
+    numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     return Regression(
         body.joint_names,
         said,

@@ -149,9 +149,7 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
     if not mine:
         return []
     columns = [chosen.columns[n] for n in mine]
-    noise = np.sqrt(fit.weights) / chosen.noise
-    rows = (effects.values[columns] * noise).reshape(len(columns), -1).T
-    base, rest, factors = base_columns(rows)
+    base, rest, factors = base_columns(effects.columns.triangle(columns, np.sqrt(fit.weights) / chosen.noise))
     own = np.concatenate([each.ravel() for each in nominal_link_numbers(body)])
     offset = effects.kinds.index(INERTIAL)  # links' columns come last
     named = [f"{effects.names[p]} of {effects.places[p]}" for p in columns]

@@ -49,7 +49,7 @@ def weighted_fit(
     Of ``plain`` kinds nothing is chosen: they are there at all places. Columns ``before`` are, too: their coefficients
     were estimated before, and what is not known of them widens the others.
     """
-    moving = effects.free & (np.abs(effects.values).max((1, 2)) > 0)
+    moving = effects.free & effects.columns.moving
     kinds: dict[str, dict[str, tuple[int, ...]]] = {}
     for p in np.flatnonzero(moving):
         places = kinds.setdefault(effects.kinds[p], {})
@@ -88,12 +88,11 @@ def _solved(
     effects: LinearEffects, columns: np.ndarray, prior: np.ndarray, weights: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted ridge estimates (p,), what they leave (R, K), and its weighted rms (K,)."""
-    scaled = np.sqrt(weights) / noise
-    X = (effects.values[columns] * scaled).reshape(len(columns), -1)
-    A = X @ X.T + np.diag(prior)
+    gram, cross, _ = effects.columns.sums(effects.missing, weights / noise**2)
+    A = gram.sum(0)[np.ix_(columns, columns)] + np.diag(prior)
     unit = np.sqrt(np.diag(A))
-    values = np.linalg.solve(A / unit[:, None] / unit, X @ (effects.missing * scaled).ravel() / unit) / unit
-    left = effects.missing - np.tensordot(values, effects.values[columns], 1)
+    values = np.linalg.solve(A / unit[:, None] / unit, cross.sum(0)[columns] / unit) / unit
+    left = effects.missing - effects.columns.torque(columns, values)
     return values, left, np.sqrt((weights * left**2).sum(0) / weights.sum(0)) + 1e-300
 
 
@@ -101,7 +100,7 @@ def _weights(
     effects: LinearEffects, columns: np.ndarray, values: np.ndarray, left: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """(R, K); see the top of the file."""
-    unknown = np.tensordot(values**2, effects.variance[columns], 1) / noise**2
+    unknown = effects.variance.torque(columns, values**2) / noise**2
     spread, tail = 1 + unknown, FIXED.regression_tail
     return (tail + 1) / (tail + left**2 / noise**2 / spread) / spread
 
@@ -126,18 +125,10 @@ def _moments(effects: LinearEffects, weights: np.ndarray, tau: np.ndarray) -> Mo
     """Of all rows, and of folds of neighbouring ones."""
     number = FIXED.cross_validation_folds
     edges = np.linspace(0, len(weights), number + 1).astype(int)
-    folds = [_sums(effects, weights, slice(*pair)) for pair in pairwise(edges)]
+    folds = [effects.columns.sums(effects.missing, weights, slice(*pair)) for pair in pairwise(edges)]
     gram, cross, square = (np.sum(each, axis=0) for each in zip(*folds, strict=True))
     rows = np.maximum(weights.sum(0), 1e-300)
     return Moments(gram, cross, square, rows / tau, rows, tuple(folds))
-
-
-def _sums(effects: LinearEffects, weights: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """XᵀWX (K, P, P), XᵀWy (K, P) and yᵀWy (K,) of each joint over some rows."""
-    X, y, w = effects.values[:, rows], effects.missing[rows], weights[rows]
-    weighted = X * w
-    gram = np.stack([weighted[:, :, k] @ X[:, :, k].T for k in range(w.shape[1])])
-    return gram, np.einsum("prk,rk->kp", weighted, y), (w * y**2).sum(0)
 
 
 def _covariance(
@@ -147,19 +138,17 @@ def _covariance(
     columns = list(chosen.columns)
     if not columns:
         return np.zeros((0, 0)), 1
-    X, left = effects.values[columns], left_by(effects, chosen)
+    left = left_by(effects, chosen)
     scaled = weights / chosen.noise**2
-    prior = np.array([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
-    gram = np.einsum("prk,rk,qrk->pq", X, scaled, X, optimize=True) + np.diag(prior)
-    inverse = _inverse(gram)
-    scores = np.einsum("prk,rk->rp", X, scaled * left)
-    length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(scores) // 8, 1)))
-    block = np.unique(stretch * len(scores) + np.arange(len(scores)) // length, return_inverse=True)[1]
-    count = int(block.max()) + 1
-    sums = np.zeros((count, len(columns)))
-    np.add.at(sums, block, scores)
+    prior = np.diag([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
+    gram = effects.columns.sums(effects.missing, scaled)[0][:, columns][:, :, columns]
+    inverse = _inverse(gram.sum(0) + prior)
+    length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(left) // 8, 1)))
+    block = np.unique(stretch * len(left) + np.arange(len(left)) // length, return_index=True)[1]
+    count = len(block)
+    sums = effects.columns.block_sums(scaled * left, block)[:, columns]
     robust = inverse @ (sums.T @ sums) @ inverse * count / max(count - 1, 1)
-    mean = np.einsum("prk,rk,qrk->pq", X, scaled / tau, X, optimize=True) + np.diag(prior)
+    mean = (gram / tau[:, None, None]).sum(0) + prior
     grow = np.sqrt(np.maximum(np.diag(_inverse(mean)) / np.maximum(np.diag(robust), 1e-300), 1.0))
     return robust * grow[:, None] * grow, max(count - 1, 1)
 
@@ -172,4 +161,4 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
 
 def left_by(effects: LinearEffects, chosen: Chosen) -> np.ndarray:
     """(R, K) N·m of what is missing that chosen effects do not explain."""
-    return effects.missing - np.tensordot(chosen.values, effects.values[list(chosen.columns)], 1)
+    return effects.missing - effects.columns.torque(chosen.columns, chosen.values)

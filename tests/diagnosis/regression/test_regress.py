@@ -10,7 +10,7 @@ import torch
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
-from invdyn.diagnosis.regression.linear_effects import cutoff_of, linear_effects, required_by_file
+from invdyn.diagnosis.regression.linear_effects import cutoff_of, expected, linear_effects, required_by_file
 from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
@@ -377,7 +377,8 @@ def test_numbers_in_the_torque_of_a_servo_of_unknown_gain_are_as_unsure_as_that(
     rows, body = servo_log(20, 40.0)
     motion, dynamics = measured_motion(rows, body), dynamics_for(body)
     far = ServoGains(np.array([40.0, 40.0]))
-    effects = linear_effects(dynamics, body, motion, False, DEFAULT, cutoff_of(motion), far.factor)
+    along = expected(dynamics, body, motion, False)
+    effects = linear_effects(body, motion, along, False, DEFAULT, cutoff_of(motion), far.factor)
     fit = weighted_fit(effects, motion, DEFAULT, ("viscous_friction", "coulomb_friction"))
     numbers = {(each.effect, each.place): each for each in of_joints(effects, fit, far)}
     gain = numbers["actuator_gain", "elbow"]
