@@ -5,13 +5,14 @@ Torques of hip and knee, and the force of the floor, are inferred by `infer_engi
 over seeds: the standard deviation of log Ẑ over filters, the share of rows whose 90 % band holds the true torque, and
 the true vertical force where it acts, the inferred impulse over the true one, errors, and CPU seconds.
 
-    python benchmarks/leg.py --seeds 5
+    python benchmarks/leg.py --seeds 3 --filters 4 [--results FILE]
 """
 
 import argparse
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from kept import kept
 from legs import KINDS, SITES, leg_recording
 
 from invdyn.inference.infer_engine import infer_engine
@@ -79,25 +81,28 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=120)
     parser.add_argument("--filters", type=int, default=16)
     parser.add_argument("--particles", type=int, default=200)
+    parser.add_argument("--results", type=Path, help="file that keeps each recording's figures")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
+    sizes = (arguments.rows, arguments.filters, arguments.particles)
+    runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in KINDS}
+    for seed in range(arguments.seeds):  # of every kind before the next seed, so that what is kept is a table
+        for kind in KINDS:
+            runs[kind].append(kept(arguments.results, f"{kind} {seed} {sizes}", partial(measured, kind, seed, *sizes)))
     print(
         "| leg | sd of log Ẑ | usable | torque in band | force in band | impulse | torque rmse | force rmse | CPU s |"
     )
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
-    for kind in KINDS:
-        sizes = (arguments.rows, arguments.filters, arguments.particles)
-        runs = [measured(kind, seed, *sizes) for seed in range(arguments.seeds)]
-        mean = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
-        worst = max(run["filters"] for run in runs)
-        spread = np.abs([run["impulse"] - 1 for run in runs]).max()
+    print("|---|---|---|---|---|---|---|---|---|")
+    for kind, own in runs.items():
+        mean = {name: float(np.mean([run[name] for run in own])) for name in own[0]}
+        worst = max(run["filters"] for run in own)
+        spread = np.abs([run["impulse"] - 1 for run in own]).max()
         print(
             f"| {kind} | {mean['filters']:.2f} (worst {worst:.2f}) | {mean['usable']:.0%} | {mean['torque']:.2f} | "
             f"{mean['force']:.2f} | {mean['impulse']:.3f} (off by {spread:.1%} at most) | "
             f"{mean['torque_error']:.2g} of {mean['torque_size']:.2g} N·m | "
-            f"{mean['force_error']:.2g} of {mean['force_size']:.2g} N | {mean['seconds']:.0f} |",
-            flush=True,
+            f"{mean['force_error']:.2g} of {mean['force_size']:.2g} N | {mean['seconds']:.0f} |"
         )
 
 

@@ -9,7 +9,7 @@ LEG = """<mujoco model="leg">
   <option timestep="0.001" integrator="implicitfast"/>
   <default><geom solref=".01 1"/></default>
   <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1"/>
+    <geom name="floor" type="plane" size="5 5 .1" friction="{friction}"/>
     <body name="trunk" pos="0 0 .55">{rail}
       <joint name="height" type="slide" axis="0 0 1"/>
       <geom name="trunk" type="box" size=".1 .05 .06" mass="3"/>
@@ -22,7 +22,7 @@ LEG = """<mujoco model="leg">
           <site name="knee"/>
           <geom name="shank" type="capsule" fromto="0 0 0 0 0 -.25" size=".015" mass=".3"/>
           <site name="foot" pos="0 0 -.25"/>
-          <geom name="foot" type="sphere" pos="0 0 -.25" size=".025" friction="{friction} .005 .0001"/>
+          <geom name="foot" type="sphere" pos="0 0 -.25" size=".025" friction="{friction}"/>
         </body>
       </body>
     </body>
@@ -51,7 +51,7 @@ class Leg:
 def leg_file(kind: str) -> str:
     """MJCF; on ice the trunk slides along x too."""
     rail = '<joint name="along" type="slide" axis="1 0 0" damping="2"/>' if kind == "slip" else ""
-    return LEG.format(rail=rail, friction=0.05 if kind == "slip" else 1.0)
+    return LEG.format(rail=rail, friction=0.1 if kind == "slip" else 1.0)
 
 
 def leg_recording(kind: str, seed: int, rows: int = 120, noise: float = 0.002) -> Leg:

@@ -21,10 +21,10 @@ from scipy.special import logsumexp
 
 from invdyn.diagnosis.engine.cubature_filter import Filtered, cubature_filter
 from invdyn.diagnosis.engine.effects import Candidate
-from invdyn.diagnosis.engine.model_numbers import changed
 from invdyn.diagnosis.engine.problem import EngineLog
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
+from invdyn.diagnosis.write_back.model_numbers import changed
 from invdyn.models import EngineModel
 from invdyn.models.divergence import Diverged
 

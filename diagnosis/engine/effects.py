@@ -1,4 +1,4 @@
-"""The catalogue of effects on a compiled MuJoCo model, as data: fields, places, priors, units and the file's words.
+"""The catalogue of effects on a compiled MuJoCo model, as data: numbers, places, priors and units.
 
 An effect is one or more numbers ν of the model at a place, each with a Gaussian prior about the file's value ν₀,
 
@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.engine import model_numbers as own
-from invdyn.diagnosis.engine.model_numbers import HINGE, SLIDE, Place, Read, Write
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.rules import FIXED
+from invdyn.diagnosis.write_back import model_numbers as own
+from invdyn.diagnosis.write_back.model_numbers import HINGE, SLIDE, Place, Read, Write
 from invdyn.models.engine.contacts import is_fixed
 from invdyn.models.engine.drives import is_muscle
 from invdyn.models.engine.scene import geom_name
@@ -30,6 +30,8 @@ SEVERAL = ", "
 CONNECT, OF_JOINTS, OF_TENDONS = 0, 2, 3
 OF_A_JOINT = 1
 """What a fixed tendon is wrapped by."""
+Typical = Callable[[Sizes, Place], float]
+Places = Callable[[Any, Sequence[own.Pair]], Iterator[Place]]
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,6 @@ class Number:
         share: of the file's value, that its prior's sd is at least.
         typical: the other bound of that sd, in this motion.
         low, high: bounds.
-        attribute: in the file, of the place's element; "" where the file has no such word.
     """
 
     name: str
@@ -51,10 +52,9 @@ class Number:
     write: Write
     unit: str = "1"
     share: float = 0.5
-    typical: Callable[[Sizes, Place], float] = lambda sizes, place: 0.0
+    typical: Typical = lambda sizes, place: 0.0
     low: float = 0.0
     high: float = math.inf
-    attribute: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class FieldEffect:
     """An effect of this catalogue; words are those of :class:`.CatalogueEntry`."""
 
     name: str
-    places: Callable[[Any, Sequence[own.Pair]], Iterator[Place]]
+    places: Places
     numbers: tuple[Number, ...]
     meaning: str
     shown_by: str
@@ -137,36 +137,37 @@ def _winds(model: Any, tendon: int) -> bool:
     return bool(model.jnt_type[int(model.wrap_objid[first])] == HINGE)
 
 
-def joints(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Hinges and slides."""
-    for j in range(model.njnt):
-        if model.jnt_type[j] in (HINGE, SLIDE):
-            yield Place("joint", model.joint(j).name or f"joint{j}", j)
+def every(kind: str, count: str, acts: Callable[[Any, int], bool], word: str = "") -> Places:
+    """Places of a kind, of which a model has ``count``, where something acts; ``word`` is MuJoCo's for it."""
+
+    def places(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
+        for number in range(getattr(model, count)):
+            if acts(model, number):
+                name = getattr(model, word or kind)(number).name
+                yield Place(kind, name or f"{word or kind}{number}", number)
+
+    return places
 
 
-def sprung_joints(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Those with a spring."""
-    stiffness = own.of_row("jnt_stiffness", 0)[0]
-    return (place for place in joints(model, pairs) if stiffness(model, place) > 0)
+def _moves(model: Any, joint: int) -> bool:
+    return int(model.jnt_type[joint]) in (HINGE, SLIDE)
 
 
-def links(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Bodies that move and weigh something."""
-    for b in range(1, model.nbody):
-        if model.body_weldid[b] and model.body_mass[b] > 0:
-            yield Place("link", model.body(b).name or f"body{b}", b)
+def _lags(model: Any, actuator: int) -> bool:
+    return bool(model.actuator_actnum[actuator] == 1 and model.actuator_dynprm[actuator, 0] > 0)
 
 
-def tendons(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """All."""
-    for k in range(model.ntendon):
-        yield Place("tendon", model.tendon(k).name or f"tendon{k}", k)
-
-
-def sprung_tendons(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Those with a spring."""
-    stiffness = own.of_row("tendon_stiffness", 0)[0]
-    return (place for place in tendons(model, pairs) if stiffness(model, place) > 0)
+JOINTS = every("joint", "njnt", _moves)
+SPRUNG_JOINTS = every("joint", "njnt", lambda m, j: _moves(m, j) and np.ravel(m.jnt_stiffness[j])[0] > 0)
+LINKS = every("link", "nbody", lambda m, b: bool(m.body_weldid[b] and m.body_mass[b] > 0), "body")
+TENDONS = every("tendon", "ntendon", lambda m, k: True)
+SPRUNG_TENDONS = every("tendon", "ntendon", lambda m, k: np.ravel(m.tendon_stiffness[k])[0] > 0)
+COUPLINGS = every("equality", "neq", lambda m, e: m.eq_active0[e] and m.eq_type[e] in (OF_JOINTS, OF_TENDONS))
+LOOPS = every("equality", "neq", lambda m, e: m.eq_active0[e] and m.eq_type[e] == CONNECT)
+MOTORS = every("actuator", "nu", lambda m, a: not is_muscle(m)[a])
+MUSCLES = every("actuator", "nu", lambda m, a: is_muscle(m)[a])
+LAGGING_MOTORS = every("actuator", "nu", lambda m, a: not is_muscle(m)[a] and _lags(m, a))
+LAGGING_MUSCLES = every("actuator", "nu", lambda m, a: is_muscle(m)[a] and _lags(m, a))
 
 
 def pair_name(model: Any, pair: own.Pair) -> str:
@@ -184,239 +185,153 @@ def contacts(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
             yield Place("contact", SEVERAL.join(pair_name(model, pair) for pair in mine), geom, mine)
 
 
-def grounds(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Touched shapes that are fixed in the world itself."""
-    for geom in sorted({each for pair in pairs for each in pair}):
-        if model.geom_bodyid[geom] == 0:
-            yield Place("contact", geom_name(model, geom), geom)
-
-
-def feet(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-    """Moving shapes with a radius that touch something."""
-    for geom in sorted({each for pair in pairs for each in pair}):
-        if not is_fixed(model, geom) and model.geom_type[geom] in ROUND:
-            yield Place("contact", geom_name(model, geom), geom)
-
-
-def equalities(*kinds: int) -> Callable[[Any, Sequence[own.Pair]], Iterator[Place]]:
-    """Of some kinds, that act."""
+def touching(acts: Callable[[Any, int], bool]) -> Places:
+    """Shapes that touch something."""
 
     def places(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-        for e in range(model.neq):
-            if model.eq_active0[e] and model.eq_type[e] in kinds:
-                yield Place("equality", model.equality(e).name or f"equality{e}", e)
+        for geom in sorted({each for pair in pairs for each in pair}):
+            if acts(model, geom):
+                yield Place("contact", geom_name(model, geom), geom)
 
     return places
 
 
-def actuators(muscles: bool, lagging: bool = False) -> Callable[[Any, Sequence[own.Pair]], Iterator[Place]]:
-    """Muscles, or all others; those with a time constant."""
-
-    def places(model: Any, pairs: Sequence[own.Pair]) -> Iterator[Place]:
-        for a in np.flatnonzero(is_muscle(model) == muscles).tolist():
-            if not lagging or (model.actuator_actnum[a] == 1 and model.actuator_dynprm[a, 0] > 0):
-                yield Place("actuator", model.actuator(a).name or f"actuator{a}", a)
-
-    return places
+GROUNDS = touching(lambda m, g: m.geom_bodyid[g] == 0)
+"""Fixed in the world itself."""
+FEET = touching(lambda m, g: not is_fixed(m, g) and m.geom_type[g] in ROUND)
+"""Moving ones with a radius."""
 
 
 # -- the catalogue -------------------------------------------------------------------------------
-USUAL = FIXED.engine_usual
-FIELD = {name: own.of_dofs(f"dof_{name}") for name in ("damping", "frictionloss", "armature")}
-STIFFNESS = own.of_row("jnt_stiffness", 0)
-OF_TENDON = {name: own.of_row(f"tendon_{name}", 0) for name in ("stiffness", "damping", "frictionloss")}
-LENGTH = own.of_row("tendon_lengthspring", 0, 1)
-OFFSET = own.of_row("eq_data", 0)
+def usual(over: str = "") -> Typical:
+    """A share of a place's usual force, or of that force over its usual speed, acceleration or way."""
+    share = FIXED.engine_usual
+    return lambda sizes, place: share * sizes.force(place) / (getattr(sizes, over)(place) if over else 1.0)
+
 
 EFFECTS: tuple[FieldEffect, ...] = (
     FieldEffect(
-        "viscous_friction",
-        joints,
-        (Number("damping", *FIELD["damping"], "F·s/x", 0.5, lambda z, p: USUAL * z.force(p) / z.speed(p),
-                attribute="damping"),),
-        "a force against the motion that grows with speed",
-        "the same motion at several speeds",
+        "viscous_friction", JOINTS, (Number("damping", *own.DAMPING, "F·s/x", 0.5, usual("speed")),),
+        "a force against the motion that grows with speed", "the same motion at several speeds",
     ),
     FieldEffect(
-        "coulomb_friction",
-        joints,
-        (Number("torque", *FIELD["frictionloss"], "F", 0.5, lambda z, p: USUAL * z.force(p),
-                attribute="frictionloss"),),
-        "a force of one size against the motion, at any speed",
-        "slow reversals at several amplitudes",
+        "coulomb_friction", JOINTS, (Number("torque", *own.FRICTION, "F", 0.5, usual()),),
+        "a force of one size against the motion, at any speed", "slow reversals at several amplitudes",
         "Coulomb friction",
     ),
     FieldEffect(
-        "armature",
-        joints,
-        (Number("armature", *FIELD["armature"], "F·s²/x", 0.5, lambda z, p: USUAL * z.force(p) / z.acceleration(p),
-                attribute="armature"),),
-        "inertia of a motor's rotor, seen at the joint",
-        "fast reversals",
+        "armature", JOINTS, (Number("armature", *own.ARMATURE, "F·s²/x", 0.5, usual("acceleration")),),
+        "inertia of a motor's rotor, seen at the joint", "fast reversals",
         "rotor inertia",
     ),
     FieldEffect(
-        "joint_stiffness",
-        joints,
-        (Number("stiffness", *STIFFNESS, "F/x", 0.5, lambda z, p: USUAL * z.force(p) / z.way(p),
-                attribute="stiffness"),),
-        "a spring at the joint of another stiffness",
-        "the same motion at several amplitudes",
+        "joint_stiffness", JOINTS, (Number("stiffness", *own.STIFFNESS, "F/x", 0.5, usual("way")),),
+        "a spring at the joint of another stiffness", "the same motion at several amplitudes",
     ),
     FieldEffect(
-        "joint_rest",
-        sprung_joints,
-        (Number("rest", own.read_rest, own.write_rest, "x", 0.0, lambda z, p: 0.5 * z.way(p), -math.inf,
-                attribute="springref"),),
-        "a joint's spring that rests elsewhere",
-        "a pause at several angles",
+        "joint_rest", SPRUNG_JOINTS,
+        (Number("rest", *own.REST, "x", 0.0, lambda z, p: 0.5 * z.way(p), -math.inf),),
+        "a joint's spring that rests elsewhere", "a pause at several angles",
         "rest of the spring",
     ),
     FieldEffect(
-        "link_mass",
-        links,
-        (Number("mass", own.read_mass, own.write_mass, "kg", USUAL, low=1e-4, attribute="mass"),),
-        "a link of another mass and the same shape",
-        "poses in which it hangs in several ways",
+        "link_mass", LINKS, (Number("mass", own.MASS[0], own.write_mass, "kg", FIXED.engine_usual, low=1e-4),),
+        "a link of another mass and the same shape", "poses in which it hangs in several ways",
         "mass",
     ),
     FieldEffect(
-        "tendon_stiffness",
-        tendons,
-        (Number("stiffness", *OF_TENDON["stiffness"], "F/x", 0.5, lambda z, p: USUAL * z.force(p) / z.way(p),
-                attribute="stiffness"),),
-        "a tendon that is stiffer or softer",
-        "pulls of several lengths",
+        "tendon_stiffness", TENDONS,
+        (Number("stiffness", *own.entries("tendon_stiffness"), "F/x", 0.5, usual("way")),),
+        "a tendon that is stiffer or softer", "pulls of several lengths",
     ),
     FieldEffect(
-        "tendon_rest",
-        sprung_tendons,
-        (Number("length", *LENGTH, "x", 0.0, lambda z, p: 0.5 * z.way(p), -math.inf, attribute="springlength"),),
-        "a tendon that is slack at another length",
-        "a pause at several lengths",
+        "tendon_rest", SPRUNG_TENDONS,
+        (Number("length", *own.entries("tendon_lengthspring", (0, 1)), "x", 0.0, lambda z, p: 0.5 * z.way(p),
+                -math.inf),),
+        "a tendon that is slack at another length", "a pause at several lengths",
         "rest length of the tendon",
     ),
     FieldEffect(
-        "tendon_damping",
-        tendons,
-        (Number("damping", *OF_TENDON["damping"], "F·s/x", 0.5, lambda z, p: USUAL * z.force(p) / z.speed(p),
-                attribute="damping"),),
-        "a tendon that resists being pulled fast",
-        "pulls at several speeds",
+        "tendon_damping", TENDONS, (Number("damping", *own.entries("tendon_damping"), "F·s/x", 0.5, usual("speed")),),
+        "a tendon that resists being pulled fast", "pulls at several speeds",
     ),
     FieldEffect(
-        "tendon_friction",
-        tendons,
-        (Number("force", *OF_TENDON["frictionloss"], "F", 0.5, lambda z, p: USUAL * z.force(p),
-                attribute="frictionloss"),),
-        "a tendon that rubs in its sheath",
-        "slow reversals",
+        "tendon_friction", TENDONS, (Number("force", *own.entries("tendon_frictionloss"), "F", 0.5, usual()),),
+        "a tendon that rubs in its sheath", "slow reversals",
     ),
     FieldEffect(
-        "contact_friction",
-        contacts,
-        (Number("friction", own.read_friction, own.write_friction, "1", 0.5, lambda z, p: 0.1, 1e-4,
-                attribute="friction"),),
-        "shapes that slide on one another more or less easily",
-        "slips under several loads",
+        "contact_friction", contacts,
+        (Number("friction", own.read_friction, own.write_friction, "1", 0.5, lambda z, p: 0.1, 1e-4),),
+        "shapes that slide on one another more or less easily", "slips under several loads",
         "friction of the contact",
     ),
     FieldEffect(
-        "contact_softness",
-        contacts,
-        (Number("time constant", own.read_softness, own.write_softness, "of the file's", 0.5, low=0.05,
-                attribute="solref"),),
-        "a contact that gives way and comes back more slowly or faster",
-        "impacts of several strengths",
+        "contact_softness", contacts,
+        (Number("time constant", own.as_filed(1), own.write_softness, "of the file's", 0.5, low=0.05),),
+        "a contact that gives way and comes back more slowly or faster", "impacts of several strengths",
         "softness of the contact",
     ),
     FieldEffect(
-        "contact_yielding",
-        contacts,
-        (Number("yielding", own.read_yielding, own.write_yielding, "1", 0.5, lambda z, p: 0.02, 1e-4, 0.9,
-                attribute="solimp"),),
-        "a contact that sinks in further under the same load",
-        "several loads at rest",
+        "contact_yielding", contacts,
+        (Number("yielding", own.read_yielding, own.write_yielding, "1", 0.5, lambda z, p: 0.02, 1e-4, 0.9),),
+        "a contact that sinks in further under the same load", "several loads at rest",
         "yielding of the contact",
     ),
     FieldEffect(
-        "ground_height",
-        grounds,
-        (Number("height", own.nothing, own.write_height, "m", 0.0, lambda z, p: 0.02 * z.extent, -math.inf,
-                attribute="pos"),),
-        "a ground that is higher or lower",
-        "steps at several places",
+        "ground_height", GROUNDS,
+        (Number("height", own.as_filed(0), own.write_height, "m", 0.0, lambda z, p: 0.02 * z.extent, -math.inf),),
+        "a ground that is higher or lower", "steps at several places",
         "height of the ground",
     ),
     FieldEffect(
-        "ground_tilt",
-        grounds,
+        "ground_tilt", GROUNDS,
         tuple(
-            Number(f"about {name}", own.nothing, own.tilted(axis), "rad", 0.0, lambda z, p: 0.05, -0.7, 0.7,
-                   attribute="quat")
+            Number(f"about {name}", own.as_filed(0), own.tilted(axis), "rad", 0.0, lambda z, p: 0.05, -0.7, 0.7)
             for axis, name in enumerate("xy")
         ),
-        "a ground that is not level",
-        "slides in several directions",
+        "a ground that is not level", "slides in several directions",
         "tilt of the ground",
     ),
     FieldEffect(
-        "foot_size",
-        feet,
-        (Number("radius", own.read_radius, own.write_radius, "m", 0.2, low=1e-4, attribute="size"),),
-        "a foot or pad of another radius",
-        "touches from several sides",
+        "foot_size", FEET, (Number("radius", own.entries("geom_size")[0], own.write_radius, "m", 0.2, low=1e-4),),
+        "a foot or pad of another radius", "touches from several sides",
         "radius of the shape",
     ),
     FieldEffect(
-        "equality_offset",
-        equalities(OF_JOINTS, OF_TENDONS),
-        (Number("offset", *OFFSET, "x", 0.0, lambda z, p: 0.3 * z.way(p), -math.inf, attribute="polycoef"),),
-        "two joints or tendons that are coupled at other positions",
-        "a motion to both ends",
+        "equality_offset", COUPLINGS,
+        (Number("offset", *own.entries("eq_data"), "x", 0.0, lambda z, p: 0.3 * z.way(p), -math.inf),),
+        "two joints or tendons that are coupled at other positions", "a motion to both ends",
         "offset of the coupling",
     ),
     FieldEffect(
-        "loop_offset",
-        equalities(CONNECT),
+        "loop_offset", LOOPS,
         tuple(
-            Number(name, *own.of_row("eq_data", axis), "m", 0.0, lambda z, p: 0.02 * z.extent, -math.inf)
+            Number(name, *own.entries("eq_data", (axis,)), "m", 0.0, lambda z, p: 0.02 * z.extent, -math.inf)
             for axis, name in enumerate("xyz")
         ),
-        "a loop whose ends meet at another point",
-        "a whole turn of the loop",
+        "a loop whose ends meet at another point", "a whole turn of the loop",
         "offset of the loop's joint",
     ),
     FieldEffect(
-        "actuator_gain",
-        actuators(muscles=False),
-        (Number("factor", own.one, own.write_strength, "of the file's", 0.2, attribute="gear"),),
-        "an actuator whose force is stronger or weaker than is said",
-        "a known load",
+        "actuator_gain", MOTORS, (Number("factor", own.as_filed(1), own.write_strength, "of the file's", 0.2),),
+        "an actuator whose force is stronger or weaker than is said", "a known load",
         "gain of the actuator",
     ),
     FieldEffect(
-        "muscle_strength",
-        actuators(muscles=True),
-        (Number("factor", own.one, own.write_strength, "of the file's", 0.3, attribute="force"),),
-        "a muscle that is stronger or weaker",
-        "a known load",
+        "muscle_strength", MUSCLES, (Number("factor", own.as_filed(1), own.write_strength, "of the file's", 0.3),),
+        "a muscle that is stronger or weaker", "a known load",
         "strength of the muscle",
     ),
     FieldEffect(
-        "actuator_lag",
-        actuators(muscles=False, lagging=True),
-        (Number("factor", own.one, own.write_slower, "of the file's", 0.5, low=0.05, attribute="timeconst"),),
-        "an actuator that follows its command more slowly or faster",
-        "steps of the command",
+        "actuator_lag", LAGGING_MOTORS,
+        (Number("factor", own.as_filed(1), own.write_slower, "of the file's", 0.5, low=0.05),),
+        "an actuator that follows its command more slowly or faster", "steps of the command",
         "lag of the actuator",
     ),
     FieldEffect(
-        "muscle_lag",
-        actuators(muscles=True, lagging=True),
-        (Number("factor", own.one, own.write_slower, "of the file's", 0.5, low=0.05, attribute="timeconst"),),
-        "a muscle that is activated more slowly or faster",
-        "steps of the excitation",
+        "muscle_lag", LAGGING_MUSCLES,
+        (Number("factor", own.as_filed(1), own.write_slower, "of the file's", 0.5, low=0.05),),
+        "a muscle that is activated more slowly or faster", "steps of the excitation",
         "activation time of the muscle",
     ),
 )  # fmt: skip

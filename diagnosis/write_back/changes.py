@@ -4,7 +4,7 @@ An effect adds to what the file has: from b to b + Δb. Of the whole cause, mean
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -23,6 +23,7 @@ OF_LINK = ("mass", "com", "inertia")
 """What names of a link's numbers begin with: "mass", "com" or "com_x", "inertia" or "inertia_xx"."""
 IMPEDANCE = "friction impedance"
 """d of MuJoCo's dry friction, from 0 to 1: a joint at rest creeps the less, the nearer it is to 1."""
+SERVO_DAMPING = "servo damping"
 ZERO = "encoder zero"
 """What an encoder shows where the body's angle is 0, rad."""
 ZERO_ELSEWHERE = "subtract it from the log's angles, or from the joint's zero in the map"
@@ -66,11 +67,17 @@ class FileChange:
     @property
     def comment(self) -> str:
         """Its comment in a file."""
-        low, high = self.interval_90
-        return (
-            f"invdyn: {self.quantity} of {self.place or 'the whole'} from {self.before:.4g} to {self.after:.4g} "
-            f"{self.unit}, 90 % interval {low:.4g} to {high:.4g}"
-        )
+        return comment_of([self])
+
+
+def comment_of(changes: Sequence[FileChange]) -> str:
+    """The comment of changes that are written together."""
+    said = [
+        f"{each.quantity} of {each.place or 'the whole'} from {each.before:.4g} to {each.after:.4g} {each.unit}, "
+        f"90 % interval {each.interval_90[0]:.4g} to {each.interval_90[1]:.4g}"
+        for each in changes
+    ]
+    return f"invdyn: {'; '.join(said)}"
 
 
 @dataclass(frozen=True)
@@ -155,17 +162,22 @@ def _part(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     joint, fields = finding.where["joint"], finding.entry.body_file_fields if finding.entry else {}
     own = _joint(body, joint)
     raised = [_raised(finding, joint, part, name, getattr(own, part)) for name, part in fields.items()]
-    return [each for change in raised for each in _with_the_servo(change, own)]
+    return [each for change in raised for each in with_the_servo(change, own)]
 
 
-def _with_the_servo(change: FileChange, own: JointParts) -> list[FileChange]:
+def with_the_servo(change: FileChange, own: JointParts) -> list[FileChange]:
     """A joint whose servo damps it too may have less damping than none: the servo then has less."""
-    if change.quantity != "damping" or change.after >= 0 or not own.servo_damping:
+    drag, (low, high) = own.servo_damping, change.interval_90
+    if change.quantity != "damping" or change.after >= 0 or not drag:
         return [change]
-    low, high = (max(0.0, own.servo_damping + end) for end in change.interval_90)
-    servo = replace(change, quantity="servo damping", before=own.servo_damping, interval_90=(low, high))
-    none = replace(change, after=0.0, interval_90=(0.0, max(0.0, change.interval_90[1])))
-    return [none, replace(servo, after=max(0.0, own.servo_damping + change.after))]
+    servo = replace(
+        change,
+        quantity=SERVO_DAMPING,
+        before=drag,
+        after=max(0.0, drag + change.after),
+        interval_90=(min(max(0.0, drag + low), drag), min(max(0.0, drag + high), drag)),
+    )
+    return [replace(change, after=0.0, interval_90=(0.0, max(0.0, high))), servo]
 
 
 def _friction(finding: Finding, body: ArticulatedBody) -> list[FileChange]:

@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, FileChange
-from invdyn.diagnosis.write_back.mjcf import body_of, shares_its_mass
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileChange, with_the_servo
+from invdyn.diagnosis.write_back.mjcf import BodyNumbers, body_of, groups, shares_its_mass
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
@@ -29,7 +29,6 @@ from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.effects.inertias import inertia_of
 from invdyn.models.effects.scale import typical_torque
 
-SERVO_DAMPING = "servo damping"
 UNITS = {
     "damping": "N·m·s/rad",
     SERVO_DAMPING: "N·m·s/rad",
@@ -85,7 +84,7 @@ class FileNumbers:
             for k, (number, parts) in enumerate(zip(numbers, body.joint_parts, strict=True))
             if parts is not None and parts.motor and len(actuators_of(mujoco, self.nominal, number)) == 1
         ]
-        self.dofs = self.nominal.jnt_dofadr[[number for _, number in self.driven]]
+        self._of_body = BodyNumbers(self.nominal, body)
         self.numbers = (*self._of_joints(after), *self._of_links(after))
 
     def starts(self) -> np.ndarray:
@@ -140,7 +139,8 @@ class FileNumbers:
             ):
                 found.append(Number(name, quantity, filed, float(np.log(max(value, least))), sd))
         if found:
-            soft = float(1 - self.nominal.dof_solimp[self.dofs, 0].max())
+            dofs = self.nominal.jnt_dofadr[[number for _, number in self.driven]]
+            soft = float(1 - self.nominal.dof_solimp[dofs, 0].max())
             found.append(Number("", IMPEDANCE, 1 - soft, float(np.log(soft)), FIXED.impedance_sd))
         return found
 
@@ -167,76 +167,29 @@ class FileNumbers:
     def model(self, z: np.ndarray) -> "mujoco.MjModel":
         """The compiled file with the numbers ``z`` (N,)."""
         model = copy.copy(self.nominal)
-        for number, own in zip(self.numbers, z, strict=True):
-            value = number.value(own)
-            if number.quantity == IMPEDANCE:
-                model.dof_solimp[self.dofs, :2] = value
-            elif number.quantity.startswith(OF_LINK):
-                self._put_in_link(model, number, value)
-            else:
-                self._put_in_joint(model, number, value)
+        for several in groups(self._changes(z, z[None])):
+            self._of_body.put(model, several)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
-    def _put_in_link(self, model: "mujoco.MjModel", number: Number, value: float) -> None:
-        body = body_of(model, self.body, self.body.link_names.index(number.place))
-        if number.quantity == "mass":
-            model.body_mass[body] = value
-        else:
-            model.body_ipos[body, "xyz".index(number.quantity[-1])] += value - number.filed
-
-    def _put_in_joint(self, model: "mujoco.MjModel", number: Number, value: float) -> None:
-        joint = joint_names(model).index(number.place)
-        dof, (motor,) = int(model.jnt_dofadr[joint]), actuators_of(mujoco, model, joint)
-        if number.quantity == "damping":
-            drag = (self.body.joint_parts[self.body.joint_names.index(number.place)] or NOTHING).servo_damping
-            model.dof_damping[dof] = max(value - drag, 0.0)
-            if drag:
-                model.actuator_biasprm[motor, 2] = -min(value, drag) / model.actuator_gear[motor, 0] ** 2
-        elif number.quantity == "friction":
-            model.dof_frictionloss[dof] = value
-        elif number.quantity == "armature":
-            model.dof_armature[dof] = value
-        elif number.quantity == "motor gain":
-            model.actuator_gear[motor, 0] *= value
-        else:
-            model.actuator_gainprm[motor, 0] *= value
-            model.actuator_biasprm[motor, 1] *= value
-            if not model.actuator_biasprm[motor, 1]:  # of a velocity servo, gain and bias are one number
-                model.actuator_biasprm[motor, 2] *= value
-
     def changes(self, z: np.ndarray, draws: np.ndarray) -> tuple[FileChange, ...]:
         """What a file with ``z`` (N,) has otherwise, with central 90 % ranges of ``draws`` (D, N)."""
-        found: list[FileChange] = []
-        for n, number in enumerate(self.numbers):
-            values = np.array([number.value(each) for each in draws[:, n]])
-            low, high = np.quantile(values, [0.05, 0.95]).tolist()
-            place, unit = number.place, UNITS.get(number.quantity, "m")
-            change = FileChange(
-                place, number.quantity, number.filed, number.value(z[n]), (low, high), unit, "output error"
-            )
-            found += self._split(change)
+        found = self._changes(z, draws)
         return tuple(each for each in found if abs(each.after - each.before) > FIXED.same_number * abs(each.before))
 
-    def _split(self, change: FileChange) -> list[FileChange]:
-        """Damping in the joint and in its servo, which is the file's while the whole is larger."""
-        if change.quantity == IMPEDANCE:
-            return [replace(change, place=self.body.joint_names[k]) for k, _ in self.driven]
-        if change.quantity != "damping":
-            return [change]
-        drag = (self.body.joint_parts[self.body.joint_names.index(change.place)] or NOTHING).servo_damping
-        low, high = change.interval_90
-        own = replace(
-            change,
-            before=change.before - drag,
-            after=max(change.after - drag, 0.0),
-            interval_90=(max(low - drag, 0.0), max(high - drag, 0.0)),
-        )
-        servo = replace(
-            change,
-            quantity=SERVO_DAMPING,
-            before=drag,
-            after=min(change.after, drag),
-            interval_90=(min(low, drag), min(high, drag)),
-        )
-        return [own, servo] if change.after < drag else [own]
+    def _changes(self, z: np.ndarray, draws: np.ndarray) -> list[FileChange]:
+        """Of every number: of damping in the joint and in its servo, of the impedance at each joint."""
+        found: list[FileChange] = []
+        for number, own, ends in zip(self.numbers, z, np.quantile(draws, [0.05, 0.95], axis=0).T, strict=True):
+            low, high = sorted(map(number.value, ends))
+            place, quantity, unit = number.place, number.quantity, UNITS.get(number.quantity, "m")
+            change = FileChange(place, quantity, number.filed, number.value(own), (low, high), unit, "output error")
+            if quantity == IMPEDANCE:
+                found += [replace(change, place=self.body.joint_names[k]) for k, _ in self.driven]
+            elif quantity == "damping":
+                parts = self.body.joint_parts[self.body.joint_names.index(place)] or NOTHING
+                before, after, low, high = (x - parts.servo_damping for x in (number.filed, change.after, low, high))
+                found += with_the_servo(replace(change, before=before, after=after, interval_90=(low, high)), parts)
+            else:
+                found.append(change)
+        return found

@@ -10,9 +10,9 @@ import pytest
 
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
 from invdyn.diagnosis.engine.effects import EFFECTS, candidates
-from invdyn.diagnosis.engine.model_numbers import changed
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.engine.write_back import candidate_of, rewritten
+from invdyn.diagnosis.write_back.model_numbers import changed
 from invdyn.models import Scene
 
 GROUND = """<mujoco><option timestep="0.002"/><compiler angle="radian"/><worldbody>
@@ -33,10 +33,12 @@ UNNAMED = """<mujoco><option timestep="0.002"/><compiler angle="radian"/>
     <joint axis="0 1 0" damping=".3"/><geom class="foot" pos=".1 0 0" friction=".5"/></body>
   <geom type="plane" size="2 2 .1" friction=".7"/></worldbody></mujoco>"""
 """MuJoCo counts the floor first, and the leg's second joint and shape before the toe's."""
+PAIR = GROUND.replace("</worldbody>", '</worldbody><contact><pair geom1="floor" geom2="heel" friction=".5"/></contact>')
 MODELS = {
     "unnamed": (UNNAMED, [(0, 1), (0, 2), (0, 3)]),
     "ground": (GROUND, [(0, 1), (0, 2)]),
     "holding": (linkages.HOLDING, [(0, 2), (1, 2)]),
+    "pair": (PAIR, [(0, 1), (0, 2)]),
     "rubbing": (linkages.RUBBING, []),
     "muscles": (muscled_arms.TWO, []),
 }
@@ -84,18 +86,29 @@ def test_what_is_written_is_what_was_changed(name):
         writes = [(n.write, candidate.place, v) for n, v in zip(candidate.effect.numbers, values, strict=True)]
         wanted, got = changed(model, writes), Scene.of(new.decode()).model
         differing = 0
-        # A gain is written as a gear: the same force, by other fields.
-        skipped = ("cam_", "light_") + (("actuator_",) if candidate.name == "actuator_gain" else ())
         for field in dir(model):
             one, two, before = (getattr(each, field, None) for each in (wanted, got, model))
-            if isinstance(one, np.ndarray) and one.dtype == np.float64 and not field.startswith(skipped):
+            if isinstance(one, np.ndarray) and one.dtype == np.float64 and not field.startswith(("cam_", "light_")):
                 assert two == pytest.approx(one, rel=2e-5, abs=1e-6), (candidate.key, field)
                 differing += not np.array_equal(one, before)
-        assert differing or candidate.name == "actuator_gain", candidate.key
+        assert differing, candidate.key
         assert pushed(got) == pytest.approx(pushed(wanted), rel=1e-4), candidate.key
-    assert len(written) >= {"unnamed": 9, "ground": 12, "holding": 13, "rubbing": 9, "muscles": 6}[name], sorted(
-        written
+    assert len(written) >= {"unnamed": 9, "ground": 12, "holding": 13, "pair": 12, "rubbing": 10, "muscles": 6}[name], (
+        sorted(written)
     )
+
+
+def test_what_a_pair_of_the_file_has_is_not_that_of_its_shapes():
+    scene, found = every(PAIR, [(0, 2)])
+    for effect, array in (("friction", "friction"), ("softness", "solref"), ("yielding", "solimp")):
+        (candidate,) = (each for each in found if each.key == f"contact_{effect}.floor-heel")
+        finding, _ = findings(scene.model, candidate)
+        new, _, unsaid = rewritten(PAIR.encode(), scene, Cause((finding,), 1.0, 0.0, 0.0))
+        model = mujoco.MjModel.from_xml_string(new.decode())
+        assert not unsaid
+        for kind, moves in (("pair", True), ("geom", False)):
+            name = f"{kind}_{array}"
+            assert np.array_equal(getattr(model, name), getattr(scene.model, name)) != moves
 
 
 def test_every_effect_is_somewhere():

@@ -11,7 +11,7 @@ from reported import diagnosis
 from robot_xml import play, robot
 
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding, Learned
-from invdyn.diagnosis.write_back import mjcf, toml, urdf
+from invdyn.diagnosis.write_back import mjcf, mjcf_writer, toml, urdf
 from invdyn.diagnosis.write_back.changes import ZERO_ELSEWHERE, FileChange, correction
 from invdyn.diagnosis.write_back.rollout import commands, rollout
 from invdyn.diagnosis.write_back.write_back import write_back
@@ -84,7 +84,7 @@ def test_gravity_of_an_included_file_is_named(file):
     option, include = '<option timestep="0.002" gravity="0 0 -9.81"/>', '<include file="rest.xml"/>'
     file.write_text(file.read_text().replace(option, include))
     *_, text, unsaid = changed(file, finding("gravity_tilt", {}, angle=TILT))
-    assert unsaid == dict.fromkeys(("gravity_x", "gravity_y"), mjcf.INCLUDED)
+    assert unsaid == dict.fromkeys(("gravity_x", "gravity_y"), mjcf_writer.INCLUDED)
     assert text == file.read_text()
 
 
@@ -196,7 +196,7 @@ def test_a_servos_gain_is_its_kp(file):
     assert new.actuator_gear[:, 0].tolist() == [1.0, 8.0]
     file.write_text(robot(servo=True).replace('kv="3"', 'dampratio="1"'))
     *_, unsaid = changed(file, finding("actuator_gain", {"joint": "shoulder"}, gain=-0.2))
-    assert unsaid == {"servo gain of shoulder": mjcf.SERVO}
+    assert unsaid == {"servo gain of shoulder": mjcf_writer.SERVO}
 
 
 def learned(place: str, quantity: str, before: float, after: float) -> Learned:
