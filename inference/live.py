@@ -23,14 +23,13 @@ from torch import Tensor
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.online.change import ChangeTest
 from invdyn.inference.online.fixed_lag_smoother import WINDOW, FixedLagSmoother, Smoothed
+from invdyn.inference.posterior.functionals import Z90
 from invdyn.inference.task import prepare
 from invdyn.models import ArmModel, ArticulatedBody, OrnsteinUhlenbeck
 from invdyn.models.bodies.protocol import axes
 from invdyn.recordings import InputError, Recording
 from invdyn.recordings.cameras import Filmed
 
-Z90 = 1.6448536269514722
-"""Half a central 90 % interval of a Gaussian, in standard deviations."""
 MAX_GAP = 10.0
 """s by which time jumps, either way, after which all begins again: what was before says no more of the motion."""
 LAST_TIME = 1e11

@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from invdyn.diagnosis.report.figures import Z90
 from invdyn.inference import load_posterior
+from invdyn.inference.posterior.functionals import Z90
 from invdyn.inference.study.store import FILES, study_files
 from invdyn.recordings import InputError, write_text
 

@@ -7,9 +7,7 @@ from invdyn.diagnosis.assessment.result import Diagnosis
 from invdyn.diagnosis.report.drawing import Plot, limits
 from invdyn.diagnosis.report.numbers import fixed, handy, percent, plain, root_mean_square
 from invdyn.diagnosis.rules import FIXED
-
-Z90 = 1.6448536269514722
-"""Half a central 90 % interval of a Gaussian, in standard deviations."""
+from invdyn.inference.posterior.functionals import Z90
 
 
 def timeline(diagnosis: Diagnosis) -> Markup | None:

@@ -27,6 +27,8 @@ from invdyn.recordings import InputError
 
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles of the table: median and ends of the 90 % interval."""
+Z90 = 1.6448536269514722
+"""Half a central 90 % interval of a Gaussian, in standard deviations."""
 MIN_TIMES = 2
 """Rows that a rate and an integral need."""
 

@@ -2,12 +2,17 @@
 
     y_i = μ_{c(i)} + Σ_g u_{g, z_g(i)} + e_i,    u_{g,j} ~ N(0, τ_g²),    e_i ~ N(0, τ_0² + s_i²)
 
-y_i is a trial's posterior mean, s_i its posterior sd, c(i) its condition, z_g(i) its subject, its session, its session
-under this condition, and its subject under this condition (the effect of the condition then differs between subjects).
-τ_0 is the sd between trials of one cell. A grouping is left out where the design cannot tell it from another one.
-Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–534). The scale of that between subjects is
-the sd of all y, of the others the sd of y about its subject's mean; of τ_0 twice that, as the sd of few trials is often
-much too small (measured: of four trials, 90 % intervals of a difference then hold .93, else .80).
+y_i is a trial's estimate, s_i its error, c(i) its condition, z_g(i) its subject, its session, its session under this
+condition, and its subject under this condition (the effect of the condition then differs between subjects). τ_0 is the
+sd between trials of one cell. A grouping is left out where the design cannot tell it from another one.
+Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–534) of the scale
+
+    subject                  sd of all y
+    session                  sd of y about its subject's mean
+    of trials, τ_0           twice that, as the sd of few trials is often much too small (measured: of four trials, 90 %
+                             intervals of a difference then hold .93, else .80)
+    subject, session × condition    sd of y about subject and condition, over √2: an effect, which is the difference of
+                             two of these, then differs between subjects about as much as trials of one cell do
 
 Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
 Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is needed of μ is
@@ -126,18 +131,18 @@ def pool(
     y, s = np.asarray(estimates, float), np.asarray(errors, float)
     if len(y) < MIN_TRIALS or not (np.isfinite(y).all() and np.isfinite(s).all()):
         raise ValueError(f"expected {MIN_TRIALS} trials or more with finite estimates, got {y} with errors {s}")
-    middle, within = float(y.mean()), y.copy()
-    for who in set(subject):
-        same = np.asarray(subject) == who
-        within[same] -= y[same].mean()
-    scale = float(within.std()) or float(y.std()) or float(s.mean()) or 1.0
-    wide = max(float(y.std()) / scale, 1.0)
-    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
+    middle = float(y.mean())
     levels, own = np.unique(np.asarray(condition, str), return_inverse=True)
+    of_subject, of_condition = (np.eye(z.max() + 1)[z] for z in (_numbered(list(zip(subject, strict=True))), own))
+    scale = _left(y, of_subject)[0] or float(y.std()) or float(s.mean()) or 1.0
+    left, free = _left(y, np.concatenate([of_subject, of_condition], axis=1))
+    cell = min(left * np.sqrt(len(y) / free) / scale, 1.0) if free else 1.0
+    priors = {"subject": max(float(y.std()) / scale, 1.0), "session": 1.0}
+    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
     groups = groupings(condition, subject, session)
-    design = np.concatenate([np.eye(len(levels))[own], *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
+    design = np.concatenate([of_condition, *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
-    log_scale = np.log([OF_TRIALS, *(wide if name == "subject" else 1.0 for name in groups)])
+    log_scale = np.log([OF_TRIALS, *(priors.get(name, cell / np.sqrt(2)) for name in groups)])
     log_tau = _prior_points(log_scale, sets)
     log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
     for _ in range(ROUNDS):
@@ -187,6 +192,13 @@ def _numbered(labels: list[tuple]) -> np.ndarray:
     """Groups numbered in the order in which they come."""
     numbers: dict[tuple, int] = {}
     return np.array([numbers.setdefault(label, len(numbers)) for label in labels])
+
+
+def _left(y: np.ndarray, design: np.ndarray) -> tuple[float, int]:
+    """Rms of what a design (n, q) leaves of y by least squares, and its degrees of freedom."""
+    fit, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
+    off = y - design @ fit
+    return float(np.sqrt(np.mean(off**2))), len(y) - int(rank)
 
 
 def _given(

@@ -48,11 +48,15 @@ def test_given_the_spreads_it_is_the_dense_gaussian():
 
 def test_the_spreads_are_integrated_out_as_on_a_grid():
     """Three spreads on 24³ points of their priors, half-normal with the sds as the file says."""
+    subjects, conditions = (np.unique(each, return_inverse=True)[1] for each in (SUBJECT, CONDITION))
+    additive = np.concatenate([np.eye(3)[subjects], np.eye(2)[conditions]], axis=1)
+    off = ESTIMATES - additive @ np.linalg.pinv(additive) @ ESTIMATES
+    cell = np.sqrt(off @ off / (12 - 4) / 2)
     within = (ESTIMATES - np.repeat(ESTIMATES.reshape(3, 4).mean(1), 4)).std()
     groups = list(groupings(CONDITION, SUBJECT, ONE).values())
     x, _ = design(groups)
     points = halfnorm.ppf((np.arange(24) + 0.5) / 24)
-    grid = np.array(np.meshgrid(2 * within * points, ESTIMATES.std() * points, within * points)).reshape(3, -1).T
+    grid = np.array(np.meshgrid(2 * within * points, ESTIMATES.std() * points, cell * points)).reshape(3, -1).T
     parts = [dense(tau, ESTIMATES, ERRORS, x, groups) for tau in grid]
     logs = np.array([each[0] for each in parts])
     weights = np.exp(logs - logsumexp(logs))

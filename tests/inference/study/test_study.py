@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 import xarray as xr
@@ -13,8 +14,9 @@ from invdyn.inference.study import run as run_module
 from invdyn.inference.study import work
 from invdyn.inference.study.averages import SETS
 from invdyn.inference.study.pooling import pool
+from invdyn.inference.study.quantities import STATISTICS, statistics
 from invdyn.inference.study.run import _fingerprint, _groups, run_study
-from invdyn.inference.study.study import Study
+from invdyn.inference.study.study import Study, estimates
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import NOT_SETTLED, fit_trial, infer_trial, parameters_of, said, share_session, words
 from invdyn.inputs import load_body
@@ -318,8 +320,19 @@ def test_what_is_in_doubt_is_said(tmp_path):
     assert f"t0: {gap}" in view_of(tmp_path / "out").doubts
 
 
+def test_a_few_peaks_of_the_other_sign_do_not_widen_a_trials_error():
+    """Three of a hundred draws, which a mean and a sd would not leave alone."""
+    peaks = np.random.default_rng(0).normal(2.0, 0.1, (4000, 1))
+    turned = np.where(np.arange(4000)[:, None] % 100 < 3, -peaks, peaks)
+    numbers = pd.DataFrame(np.stack([statistics({"peak": (each, "N·m")})[0, 0] for each in (peaks, turned)]))
+    middle, error = estimates(numbers.set_axis(STATISTICS, axis=1))
+    assert middle == pytest.approx([2.0, 2.0], abs=0.01)
+    assert error[0] == pytest.approx(0.1, rel=0.05)
+    assert error[1] == pytest.approx(error[0], rel=0.2)
+
+
 def test_a_difference_that_may_be_the_subjects_says_so(tmp_path):
-    numbers = torch.tensor([0.0, 0.1, 0.0, 0.0, 0.0]) + torch.zeros(1, 2, 5)  # a sd of 0.1
+    numbers = torch.tensor([0.0, 0.1, -0.1645, 0.0, 0.1645]) + torch.zeros(1, 2, 5)  # a sd of 0.1
     effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0])
     study = of_parts([{**made(i), "statistics": numbers + effect * (i % 2)} for i in range(12)])
     apart = tuple(replace(trial, subject=trial.factors["condition"]) for trial in study.trials)
