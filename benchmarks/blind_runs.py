@@ -24,6 +24,7 @@ KINDS = {
     "unknown_torque": "unknown torque",
     "outside": "outside the catalogue",
     "leave_one_out": "struck from the catalogue",
+    "as_real": "as real",
     "all": "all whose effects the catalogue has",
 }
 UNTOLD = {

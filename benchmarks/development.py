@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from invdyn.blindcheck.cases import KINDS, make_case
+from invdyn.blindcheck.cases import make_case
 from invdyn.blindcheck.judge import OUTSIDE_KINDS, Verdict, judge
+from invdyn.blindcheck.kinds import KINDS
 from invdyn.blindcheck.worker import diagnose_case
 
 stage: Any = import_module("invdyn.diagnosis.diagnose")

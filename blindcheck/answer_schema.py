@@ -23,6 +23,8 @@ KEYS = {
     "outside_catalogue?": {"probability?": NUMBER},
     "not_identifiable?": [str],
     "shrinkage?": {"gap_closed?": NUMBER},
+    "regression?": {"statements": [{"effect": str, "places": [str]}]},
+    "closing?": {"shown": str, "torque": {"*": {"closed": NUMBER}}},
 }
 """Keys that are read; with "?" those that may be missing or null, "*" for any."""
 

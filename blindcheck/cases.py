@@ -1,17 +1,5 @@
 """Cases of the blind check: a recording of a reality, the body file that the diagnosis gets, and the answer.
 
-Kinds:
-
-    commanded         one effect, under known commands
-    passive           one effect, no torque
-    none              no effect; a fifth passive, a fifth with unknown torque
-    weak              one effect of a quarter of the usual size
-    two               two effects at once
-    unknown_torque    one effect, and the command is not given
-    outside           an effect that the catalogue lacks
-    leave_one_out     one effect, to be struck from the catalogue with all that can make the very same recording: of
-                      these no method could say that one is missing
-
 A case follows from (seed, kind, effect) to the byte, on one machine. Seeds below 10,000 are for development. Those from
 1,000,000 on are for blind runs, and have never been looked at.
 
@@ -34,24 +22,24 @@ from invdyn.blindcheck.effects import OBSERVATIONS
 from invdyn.blindcheck.engine import ENGINES, MUJOCO, Engine
 from invdyn.blindcheck.equivalence import stand_ins
 from invdyn.blindcheck.injected_effects import Present, drawn, named, pace, shown_by_sensors, world_with
+from invdyn.blindcheck.kinds import KINDS
 from invdyn.blindcheck.motion import Plan, frame_times, random_plan, simulated
 from invdyn.blindcheck.scene import scene
-from invdyn.blindcheck.setting import Style
+from invdyn.blindcheck.setting import Style, of_robot
 from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.visibility import visibility
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
-KINDS = ("commanded", "passive", "none", "weak", "two", "unknown_torque", "outside", "leave_one_out")
 MAX_DRAWS = 16
 MIN_DPRIME = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
-WEAK_FACTOR = 0.25
 USUAL_DRAWS, GROWTH_PER_DRAW, MAX_GROWTH = (
     3,
     1.5,
     1.5**5,
 )  # draws of usual size; factor from then on, each time, and altogether
 
+PLACES = tuple(KINDS)  # a kind's number in its seeds
 UNLISTED_NEEDS = {"cross_viscosity": ("two joints",), "cable": ("two joints",), "hot_motor": ("command",)}
 """What those outside the catalogue need, as `effects.Injected.needs`."""
 
@@ -65,7 +53,10 @@ NOT_TOGETHER = (  # they write the same number of MuJoCo's, undo each other, or 
 
 @dataclass(frozen=True)
 class Case:
-    """One case. `other` is a second recording of the same reality, or None; `without` is struck from the catalogue."""
+    """One case. `other` is a second recording of the same reality, or None; `without` is struck from the catalogue.
+
+    `robot` says that it is a robot's log.
+    """
 
     recording: Recording
     other: Recording | None
@@ -73,6 +64,7 @@ class Case:
     regime: str
     without: tuple[str, ...]
     answer: dict
+    robot: bool = False
 
     def write(self, folder: str | pathlib.Path) -> None:
         """Write all but the answer: recording.csv, perhaps other.csv, body.toml and case.json. Makes the folder."""
@@ -83,6 +75,7 @@ class Case:
             write_keypoint_csv(self.other, folder / "other.csv")
         self.body.to_toml(folder / "body.toml")
         public = {"regime": self.regime, "held_out": "other.csv" if self.other else None, "without": self.without}
+        public |= {"robot": True} if self.robot else {}
         write_text(folder / "case.json", json.dumps(public, indent=1) + "\n")
 
 
@@ -90,13 +83,16 @@ def effects_of(kind: str, engine: str = MUJOCO.name) -> tuple[str, ...]:
     """Names that a case of that kind, simulated by one of `ENGINES`, may have. Raises ValueError for no such kind."""
     if kind not in KINDS:
         raise ValueError(f"expected a kind of case among {', '.join(KINDS)}, got {kind!r}")
-    if kind == "none":
+    form, player = KINDS[kind], ENGINES[engine]
+    if not max(form.numbers):
         return ()
-    player = ENGINES[engine]
-    names = tuple(player.unlisted if kind == "outside" else player.effects)
-    lacks = {"passive": "command", "unknown_torque": "clock"}.get(kind)
-    barred = {"clock_rate"} if kind == "two" else set()
-    return tuple(name for name in names if name not in barred and lacks not in needs(name, player))
+
+    def may_be(name: str) -> bool:
+        asks = needs(name, player)
+        shown = not form.robot or name not in OBSERVATIONS or "encoders" in asks
+        return shown and name not in form.barred and form.lacks not in asks and _agree((name, *form.everywhere))
+
+    return tuple(filter(may_be, player.unlisted if kind == "outside" else player.effects))
 
 
 def needs(name: str, engine: Engine = MUJOCO) -> tuple[str, ...]:
@@ -105,24 +101,24 @@ def needs(name: str, engine: Engine = MUJOCO) -> tuple[str, ...]:
 
 
 def make_case(seed: int, kind: str, effect: str | Sequence[str] | None = None, engine: str = MUJOCO.name) -> Case:
-    """Make one case; `effect` None draws it (two of them for kind "two"); `engine` is one of `ENGINES`.
+    """Make one case; `effect` None draws it (several of kinds that have so many); `engine` is one of `ENGINES`.
 
     Raises ValueError for an unknown kind, or effects that a case of that kind cannot have; ImportError without the
     engine's package.
     """
-    known = effects_of(kind, engine)
-    number = {"none": 0, "two": 2}.get(kind, 1)
-    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    known, numbers = effects_of(kind, engine), KINDS[kind].numbers
+    rng = np.random.default_rng([seed, PLACES.index(kind)])
     given = (effect,) if isinstance(effect, str) else None if effect is None else tuple(effect)
-    if given is not None and (len(given) != number or not set(given) <= set(known) or not _agree(given)):
-        raise ValueError(f"a case of kind {kind!r} has {number} of {', '.join(known) or 'no effects'}; got {effect!r}")
-    names = given
+    if given is not None and (len(given) not in numbers or not set(given) <= set(known) or not _agree(given)):
+        several = " or ".join(map(str, numbers))
+        raise ValueError(f"a case of kind {kind!r} has {several} of {', '.join(known) or 'no effects'}; got {effect!r}")
+    names, number = given, numbers[0] if len(numbers) == 1 else int(rng.choice(numbers))
     while names is None:
         lot = tuple(str(name) for name in rng.choice(known, number, replace=False)) if number else ()
         names = lot if _agree(lot) else None
-    best, strength = None, np.full(len(names), WEAK_FACTOR if kind == "weak" else 1.0)
+    best, strength = None, np.full(len(names), KINDS[kind].strength)
     for attempt in range(MAX_DRAWS):
-        stream = np.random.default_rng([seed, KINDS.index(kind), *"+".join(names).encode(), attempt])
+        stream = np.random.default_rng([seed, PLACES.index(kind), *"+".join(names).encode(), attempt])
         case = attempt_case(stream, kind, names, strength, ENGINES[engine])
         if case is None:
             continue
@@ -148,22 +144,26 @@ def attempt_case(
     rng: np.random.Generator, kind: str, names: Sequence[str], strength: np.ndarray, engine: Engine
 ) -> Case | None:
     """One draw of body, motion and sizes, or None where it cannot be a case."""
-    regime = {"passive": "passive", "unknown_torque": "unknown_torque"}.get(kind, "commanded")
-    if kind == "none":
-        regime = str(rng.choice(["commanded", "passive", "unknown_torque"], p=[0.6, 0.2, 0.2]))
+    form, setting = KINDS[kind], engine.setting
+    regime = next(iter(form.regimes))
+    if len(form.regimes) > 1:
+        regime = str(rng.choice(list(form.regimes), p=list(form.regimes.values())))
     passive = regime == "passive"
-    setting = engine.setting
-    true_body, body = setting.bodies(rng, [need for name in names for need in needs(name, engine)], names, passive)
+    wanted = [*form.needs, *(need for name in names for need in needs(name, engine))]
+    true_body, body = setting.bodies(rng, wanted, (*names, *form.everywhere), passive)
     plan = random_plan(rng, true_body, passive, engine.world, setting.habits)
     plain = simulated(engine.world(true_body), engine.world(body), plan)
     if _wild(plain):
         return None
     yardsticks = scene(true_body, plan, plain, engine.world)
-    present = [drawn(rng, name, yardsticks, much, engine) for name, much in zip(names, strength, strict=True)]
+    odd = [drawn(rng, name, yardsticks, much, engine) for name, much in zip(names, strength, strict=True)]
+    joints = range(body.num_joints)
+    usual = [drawn(rng, name, yardsticks, much, engine, k) for name, much in form.everywhere.items() for k in joints]
+    present = [*odd, *usual]
     seed = tuple(int(word) for word in rng.integers(2**31, size=4))
     noise = float(np.clip(yardsticks.reach * np.exp(rng.uniform(np.log(1e-3), np.log(7e-3))), 1e-4, 5e-3))
     noise = float(f"{noise:.3g}")
-    style = setting.style(rng, names)
+    style = of_robot(rng) if form.robot else setting.style(rng, names)
     nominal = engine.world(body)
     world = world_with(true_body, present, yardsticks, engine)
     if not world.possible:
@@ -175,9 +175,10 @@ def attempt_case(
         "kind": kind,
         "regime": regime,
         "effects": [
-            named(each, body, *visibility(each, present, yardsticks, real, regime, noise, seed, engine, style), engine)
-            for each in present
+            named(each, body, engine) | visibility(each, present, yardsticks, real, regime, noise, seed, engine, style)
+            for each in odd
         ],
+        **({"everywhere": [named(each, body, engine) for each in usual]} if usual else {}),
         "body": setting.described(true_body),
         "joints": list(body.joint_names),
         "links": [link.name for link in body.links],
@@ -197,7 +198,7 @@ def attempt_case(
     struck: tuple[str, ...] = ()
     if kind == "leave_one_out":
         struck = (*names, *(other for each in answer["effects"] for other in stand_ins(each, answer)))
-    return Case(recording, other, body, regime, struck, answer)
+    return Case(recording, other, body, regime, struck, answer, form.robot)
 
 
 def _wild(trajectory: Trajectory) -> bool:
@@ -272,11 +273,11 @@ def planned(
     plan: list[tuple[int, str, str | None]] = []
     for kind, count in kind_counts.items():
         known = effects_of(kind, engine)
-        rng = np.random.default_rng([seed, KINDS.index(kind), 7])
+        rng = np.random.default_rng([seed, PLACES.index(kind), 7])
         turns: list[str] = []
         for number in range(count):
             if not turns:
                 turns = [str(name) for name in rng.permutation(known)]
-            plan.append((seed + number, kind, None if kind in ("none", "two") else turns.pop()))
+            plan.append((seed + number, kind, turns.pop() if KINDS[kind].numbers == (1,) else None))
     places = np.random.default_rng([seed, 11]).permutation(len(plan))
     return [(f"case-{place:04d}", *each) for place, each in sorted(zip(places.tolist(), plan, strict=True))]

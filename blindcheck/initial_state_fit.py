@@ -45,7 +45,8 @@ def unlike_any_start(
     In units of the ``noise``, m; NaN where it whirls away. States are looked for from the ``true`` ones on,
     in so many steps (`MAX_GAUSS_NEWTON_STEPS`), with windows ``doubled`` so often (`MAX_WINDOW_DOUBLINGS`).
     """
-    most, lengths = steps_at_most or MAX_GAUSS_NEWTON_STEPS, MAX_WINDOW_DOUBLINGS if doubled is None else doubled
+    most = MAX_GAUSS_NEWTON_STEPS if steps_at_most is None else steps_at_most
+    lengths = MAX_WINDOW_DOUBLINGS if doubled is None else doubled
     true = _from(true, frames[0] - REPLAY_LEAD)
     hz = pendulum_frequency(body)
     interval = np.diff(true.command_time).mean()

@@ -27,10 +27,12 @@ class Present:
     seed: int | None = None
 
 
-def drawn(rng: np.random.Generator, name: str, s: Scene, strength: float, engine: Engine = MUJOCO) -> Present:
-    """Draw where an effect is and how large, for a scene."""
-    joints = s.body.num_joints
-    place = None if site_of(name) == "arm" else int(rng.integers(name == "joint_coupling", joints))
+def drawn(
+    rng: np.random.Generator, name: str, s: Scene, strength: float, engine: Engine = MUJOCO, place: int | None = None
+) -> Present:
+    """Draw where an effect is, if its `place` is not given, and how large, for a scene."""
+    if place is None and site_of(name) != "arm":
+        place = int(rng.integers(name == "joint_coupling", s.body.num_joints))
     if name in UNLISTED:
         return Present(name, place, {}, int(rng.integers(2**31)))
     size = engine.effects[name].size(rng, s, place or 0, strength)
@@ -65,8 +67,8 @@ def shown_by_sensors(present: Sequence[Present]) -> list[Effect]:
     return [(e.name, e.place, e.parameters) for e in present if e.name in OBSERVATIONS]
 
 
-def named(each: Present, body: Body, dprime: float, rms: float, engine: Engine = MUJOCO) -> dict:
-    """The answer's entry of one effect, with the names and units of the catalogue.
+def named(each: Present, body: Body, engine: Engine = MUJOCO) -> dict:
+    """The answer's entry of one effect, with the names and units of the catalogue, but for how visible it is.
 
     Of an engine's own form, parameters that the catalogue has no units for stand in `form`.
     """
@@ -89,11 +91,7 @@ def named(each: Present, body: Body, dprime: float, rms: float, engine: Engine =
         if each.name == "label_swap":
             entry["partner"] = body.keypoint_names[each.place - 1 if each.place else 1]
     interval = [each.parameters["start"], each.parameters["stop"]] if each.name == "external_push" else None
-    return (
-        entry
-        | ({"form": form} if form else {})
-        | {"parameters": parameters, "interval": interval, "dprime": dprime, "visibility_rms": rms}
-    )
+    return entry | ({"form": form} if form else {}) | {"parameters": parameters, "interval": interval}
 
 
 def _as_written(each: Present) -> dict:

@@ -36,6 +36,9 @@ class Verdict:
         covered: parameter → whether its 90 % interval holds the truth; where `exact`.
         dprime: visibility of the weakest true effect.
         truth_side: of a single true effect.
+        named: of a robot's log, whether the answer that is shown has each odd effect, or what is indistinguishable.
+        usual: share of the effects at all places that it has; `invented`: how many it has that are not there.
+        torque_closed: share of the missing torque that it closes on held-out rows.
     """
 
     name: str
@@ -64,6 +67,10 @@ class Verdict:
     covered: Mapping[str, bool] = field(default_factory=dict)
     dprime: float | None = None
     truth_side: str | None = None
+    named: tuple[bool, ...] = ()
+    usual: float | None = None
+    invented: int | None = None
+    torque_closed: float | None = None
 
 
 def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | None = None) -> Verdict:
@@ -83,7 +90,8 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
     scored = only is not None and not unknown
     if found is None:
         places = ("side", "side_by_set", *_scored(answer)) if scored else ()
-        return Verdict(**start | dict.fromkeys(places, False))
+        nothing = {"named": (False,) * len(truth), "usual": 0.0} if "everywhere" in answer else {}
+        return Verdict(**start | dict.fromkeys(places, False) | nothing)
     causes = sorted(found["causes"], key=lambda cause: -number(cause["probability"], 0.0))
     outside = number((found.get("outside_catalogue") or {}).get("probability"), 0.0)
     groups = found.get("ambiguity_set") or []
@@ -120,7 +128,47 @@ def judge(name: str, answer: Mapping, found: Mapping | None, oracle: Mapping | N
             "interval": lambda: in_time(truth[0]["interval"], where.get("intervals") or []),
         }
         verdict |= {name: located[name]() for name in _scored(answer)}
+    if "everywhere" in answer:
+        verdict |= as_real(answer, found, groups)
     return Verdict(**start, **verdict)
+
+
+def as_real(answer: Mapping, found: Mapping, groups: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """What is judged of a robot's log, which lacks effects at all places: the answer that is shown, part by part."""
+    entries, odd, usual = shown(found), answer["effects"], answer["everywhere"]
+    names = {str(each["effect"]) for each in usual}
+    closing = found.get("closing") or {}
+    torque = (closing.get("torque") or {}).get(closing.get("shown"), {})
+    true = [*odd, *usual]
+    said = label_of([entry for entry in entries if entry["effect"] not in names])
+    named = tuple(any(agreeing(each, entry, answer, groups) for entry in entries) for each in odd)
+    return {
+        "answer": said,
+        "exact": all(any(same(each, entry) for entry in entries) for each in odd),
+        "by_set": all(named),
+        "named": named,
+        "usual": sum(any(same(each, entry) for entry in entries) for each in usual) / len(usual),
+        "invented": sum(not any(agreeing(each, entry, answer, groups) for each in true) for entry in entries),
+        "torque_closed": number(torque.get("closed"), None),
+    }
+
+
+def shown(found: Mapping) -> list[Mapping]:
+    """Effects of the answer that leads: of the most probable cause, also in part, or of the regression if it does."""
+    if (found.get("closing") or {}).get("shown") == "regression":
+        stated = (found.get("regression") or {}).get("statements") or []
+        places = {"inertial_error": "link"}
+        return [
+            {"effect": each["effect"], places.get(each["effect"], "joint"): place}
+            for each in stated
+            for place in each["places"]
+        ]
+    causes = [cause for cause in found["causes"] if cause["effects"]]
+
+    def weight(cause: Mapping) -> float:
+        return number(cause["probability"], 0.0) + number(cause.get("probability_in_part"), 0.0)
+
+    return list(max(causes, key=weight)["effects"]) if causes else []
 
 
 def label_of(entries: Sequence[Mapping]) -> str:

@@ -82,10 +82,11 @@ def score(
     of = {kind: [v for v in verdicts if v.kind == kind] for kind in dict.fromkeys(v.kind for v in verdicts)}
     measures = {kind: tuple(FIGURES[kind](of[kind])) for kind in FIGURES if kind in of}
     measures["all"] = tuple(_overall(verdicts))
-    fair = [v for v in verdicts if not v.failed and v.kind != "unknown_torque"]
+    apart = ("unknown_torque", "as_real")  # no probability of a whole cause is at stake there
+    fair = [v for v in verdicts if not v.failed and v.kind not in apart]
     calibrations = {"all": _calibrated(fair)}
-    calibrations |= {kind: _calibrated([v for v in fair if v.kind == kind]) for kind in of if kind != "unknown_torque"}
-    single = [v for v in verdicts if v.kind not in ("two", "unknown_torque")]
+    calibrations |= {kind: _calibrated([v for v in fair if v.kind == kind]) for kind in of if kind not in apart}
+    single = [v for v in verdicts if v.kind not in ("two", "unknown_torque", "as_real")]
     confusion: dict[str, dict[str, int]] = {}
     for v in single:
         row = confusion.setdefault(v.truth, {})
@@ -188,6 +189,18 @@ def _unknown_effect(verdicts: Sequence[Verdict]) -> list[Measure]:
     ]
 
 
+def _as_real(verdicts: Sequence[Verdict]) -> list[Measure]:
+    """Of the answer that a diagnosis shows, whether it leaves something or not."""
+    known = [v for v in verdicts if v.torque_closed is not None]
+    return [
+        rate("odd effects named, by set", [each for v in verdicts for each in v.named], "≥ 0.85"),
+        rate("all of a case named", [v.by_set for v in verdicts]),
+        median("torque closed on held-out rows", [v.torque_closed or 0.0 for v in known], "≥ 0.9"),
+        mean("effects at all places named", [v.usual or 0.0 for v in verdicts], unit="share"),
+        mean("effects named that are not there", [v.invented or 0 for v in verdicts], unit="effects"),
+    ]
+
+
 def _overall(verdicts: Sequence[Verdict]) -> list[Measure]:
     catalogued = [v for v in verdicts if v.kind in CATALOGUED]
     return [
@@ -203,6 +216,7 @@ FIGURES: dict[str, Callable[[Sequence[Verdict]], list[Measure]]] = {
     "weak": _weak,
     "two": _two,
     "unknown_torque": _unknown_torque,
+    "as_real": _as_real,
     **dict.fromkeys(OUTSIDE_KINDS, _unknown_effect),
 }
 """Kind → its figures."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.motion import IN_THE_PLANE, Habits, random_body
+from invdyn.blindcheck.motion import IN_THE_PLANE, Habits, between, random_body
 from invdyn.models import Body
 
 
@@ -14,7 +14,7 @@ from invdyn.models import Body
 class Style:
     """What a recording has: the base's keypoint; encoders and their noise, rad; a share of missing frames; keypoints.
 
-    `counted`: whether d′ counts what the encoders show.
+    `counted`: whether d′ counts what the encoders show; `thorough`: as a setting's, where it is given.
     """
 
     base: bool
@@ -22,6 +22,7 @@ class Style:
     missing: float
     filmed: bool = True
     counted: bool = False
+    thorough: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,11 @@ def _planar_style(rng: np.random.Generator, names: Sequence[str]) -> Style:
         encoder=float(f"{10 ** rng.uniform(-3.5, -2.5):.2g}") if encoders else None,
         missing=float(rng.uniform(0.01, 0.05)) if rng.random() < 0.3 else 0.0,
     )
+
+
+def of_robot(rng: np.random.Generator) -> Style:
+    """A robot's log: encoders of .1 to 1 mrad, and no camera."""
+    return Style(False, float(f"{between(rng, 1e-4, 1e-3):.2g}"), 0.0, filmed=False, counted=True, thorough=(0, 0))
 
 
 def _planar_numbers(body: Body) -> dict:

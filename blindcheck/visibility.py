@@ -5,8 +5,8 @@ an effect of the dynamics, the world without it replays the same commands. Once 
 the state from which it follows best (`starts`). So Δp is what no other angles and velocities at that moment make up
 for: the state itself is not seen, nor the position within backlash or a link's bend. With unknown torque only what no
 posture of the body could show counts; in space all that an effect of the observation changes. Encoders count where a
-setting says so, and where one of them is off. Where the effect is in the noise alone, d′ = √2Σ KL between the noise
-with and without it.
+setting says so, and where one of them is off. A robot's log begins each period from the true state. Where the effect is
+in the noise alone, d′ = √2Σ KL between the noise with and without it.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ def visibility(
     seed: Sequence[int],
     engine: Engine = MUJOCO,
     style: Style | None = None,
-) -> tuple[float, float]:
-    """(d′, rms of the change in units of the noise) of one of the effects that are present in `real`."""
+) -> dict[str, float]:
+    """d′, and rms of the change in units of the noise, of one of the effects that are present in `real`."""
     rest, stated = [e for e in present if e is not each], frame_times(s.plan)
 
     def tips(trajectory: Trajectory, effects: Sequence[Present], sd: float = 0.0) -> np.ndarray:
@@ -66,11 +66,13 @@ def visibility(
         change = (tips(real, present) - tips(real, rest)) / noise
     else:
         world, camera = partial(world_with, s.body, rest, s, engine), partial(shown, effects=rest)
+        thorough = engine.setting.thorough if style is None else style.thorough or engine.setting.thorough
         change = unlike_any_start(
-            _as_seen(each, real), s.body, world, camera, shown(real, present), stated, noise, *engine.setting.thorough
+            _as_seen(each, real), s.body, world, camera, shown(real, present), stated, noise, *thorough
         )
     known = change[np.isfinite(change)]
-    return float(np.sqrt((known**2).sum())), float(np.sqrt((known**2).mean())) if known.size else 0.0
+    rms = float(np.sqrt((known**2).mean())) if known.size else 0.0
+    return {"dprime": float(np.sqrt((known**2).sum())), "visibility_rms": rms}
 
 
 def _as_seen(each: Present, real: Trajectory) -> Trajectory:

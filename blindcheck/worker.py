@@ -34,6 +34,7 @@ def diagnose_case(case: Path, out: Path, without: Iterable[str] = ()) -> None:
         held_out=read(public["held_out"]) if public["held_out"] else None,
         passive=public["regime"] == "passive",
         without=(*public["without"], *without),
+        robot=public.get("robot", False),
         checked=True,  # a case's recording has no mistake, and no second is spent on looking for one
     )
     out.mkdir(parents=True, exist_ok=True)

@@ -59,7 +59,7 @@ def blind(
     the diagnosis, and its answers are scored.
     """
     from invdyn.blindcheck.confined import confined
-    from invdyn.blindcheck.counts import counted
+    from invdyn.blindcheck.kinds import counted
     from invdyn.blindcheck.run import BlindRun
     from invdyn.recordings import InputError
 

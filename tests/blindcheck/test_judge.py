@@ -7,6 +7,7 @@ from answers import FOUND, FRICTION, RIGHT, answer, diagnosis, said, true
 
 from invdyn.blindcheck.equivalence import equivalent, exactly_equivalent, in_group, paired, same
 from invdyn.blindcheck.judge import FAILED, NONE, OUTSIDE, judge
+from invdyn.blindcheck.score import score
 
 
 def test_a_right_answer():
@@ -243,3 +244,33 @@ def test_pairs_are_matched_one_to_one():
     assert not paired(["a", "a"], ["a", "b"], equal)
     assert paired(["a", "c"], ["b", "a", "d"], equal, least=1)
     assert not paired(["a", "a"], ["a", "b"], equal, least=2)
+
+
+def as_real(shown, stated=(), entries=(), in_part=0.9):
+    """A robot's log, whose elbow has a spring; friction and rotors are at both joints."""
+    usual = [true(name, joint=joint) for name in ("viscous_friction", "armature") for joint in ("shoulder", "elbow")]
+    truth = answer(true("joint_stiffness", joint="elbow"), kind="as_real") | {"everywhere": usual}
+    found = diagnosis((0.0, *entries), (0.05,), outside=0.95)
+    found["causes"][0]["probability_in_part"] = in_part
+    found["closing"] = {"shown": shown, "torque": {"search": {"closed": 0.8}, "regression": {"closed": 0.7}}}
+    found["regression"] = {"statements": [{"effect": name, "places": list(places)} for name, *places in stated]}
+    return judge("a", truth, found)
+
+
+def test_of_a_robots_log_the_answer_that_is_shown_counts_though_it_leaves_something():
+    usual = [said("viscous_friction", joint="shoulder"), said("viscous_friction", joint="elbow")]
+    v = as_real("search", entries=(*usual, said("armature", joint="elbow"), said("joint_stiffness", joint="elbow")))
+    assert (v.named, v.by_set, v.usual, v.invented, v.torque_closed) == ((True,), True, 0.75, 0, 0.8)
+    assert v.answer == "joint_stiffness"
+    v = as_real("search", entries=(*usual, said("joint_stiffness", joint="shoulder")))
+    assert (v.named, v.invented) == ((False,), 1)
+    stated = [("viscous_friction", "shoulder", "elbow"), ("joint_stiffness", "elbow"), ("inertial_error", "link1")]
+    v = as_real("regression", stated, entries=usual)
+    assert (v.named, v.usual, v.invented, v.torque_closed) == ((True,), 0.5, 1, 0.7)
+
+
+def test_of_a_robots_log_without_a_diagnosis_nothing_is_named():
+    v = judge("a", answer(FRICTION, kind="as_real") | {"everywhere": [true("armature", joint="elbow")]}, None)
+    assert (v.named, v.usual, v.torque_closed) == ((False,), 0.0, None)
+    scores = score({"a": answer(FRICTION, kind="as_real") | {"everywhere": [true("armature", joint="elbow")]}}, {})
+    assert scores.measure("as_real", "odd effects named, by set").value == 0.0

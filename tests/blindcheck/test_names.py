@@ -57,7 +57,7 @@ def test_names_units_side_and_place(name):
     site = INJECTED[name].site
     assert {"pair": "joint", "keypoints": "keypoint", "stop": "joint"}.get(kind.site, kind.site) == site
     place = None if site == "arm" else 2
-    entry = named(Present(name, place, dict.fromkeys(units, 1.0)), BODY, 0.0, 0.0)
+    entry = named(Present(name, place, dict.fromkeys(units, 1.0)), BODY)
     told = {str(entry[key]) for key in ("joint", "link", "keypoint", "partner", "stop") if key in entry}
     assert told == set(effect.where) or (name == "joint_limit" and told < {*effect.where, "upper"})
 
@@ -66,7 +66,7 @@ def test_names_units_side_and_place(name):
 def test_the_base_moves_as_the_catalogue_writes_it(seed):
     rng = np.random.default_rng(seed)
     given = dict(zip(("amplitude_x", "amplitude_y", "frequency", "phase"), rng.uniform(-3, 3, 4), strict=True))
-    answer = named(Present("base_motion", None, given), BODY, 0.0, 0.0)["parameters"]
+    answer = named(Present("base_motion", None, given), BODY)["parameters"]
     parts = {
         f"{part}_{axis}": given[f"amplitude_{axis}"] * function(given["phase"])
         for part, function in (("sine", np.cos), ("cosine", np.sin))
@@ -79,7 +79,7 @@ def test_the_base_moves_as_the_catalogue_writes_it(seed):
 
 def test_a_ripple_is_what_the_catalogue_writes():
     given = {"amplitude": 0.3, "periods": 6.0, "phase": 5.5}
-    answer = named(Present("torque_ripple", 1, given), BODY, 0.0, 0.0)["parameters"]
+    answer = named(Present("torque_ripple", 1, given), BODY)["parameters"]
     values = {"sine": 0.3 * np.cos(5.5), "cosine": 0.3 * np.sin(5.5), "periods": 6.0}
     given_parts = {key: torch.tensor([value]) for key, value in values.items()}
     described = DIAGNOSED["torque_ripple"].reported(TorqueRipple("base"), given_parts)
