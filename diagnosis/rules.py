@@ -420,6 +420,7 @@ class Fixed:
         (0.03, 0.1, 0.3, 1.0), "of the torque needed", "prior sds of an effect in a regression", "chosen"
     )
     plain_size: float = number(10.0, "of the torque needed", "the same of a plain fit: next to no prior", "chosen")
+    sure_probability: float = number(0.9, "1", 'of what a regression names without a "perhaps"', "stated")
     regression_tail: float = number(4.0, "1", "degrees of freedom of what a regression leaves", "chosen")
     max_gap_steps: float = number(20.0, "steps", "beyond which a recording has a gap", "chosen")
     max_edge_sd: float = number(2.0, "medians", "of an acceleration's sd; rows at edges have more", "chosen")

@@ -20,7 +20,7 @@ A friction, a rotor or a spring that would be less than nothing at some joint is
 Shapes: K joints, P columns, F folds.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import lgamma, log
@@ -81,7 +81,8 @@ class Chosen:
 class Choice:
     """All that may be stated: for each kind its places and their columns; sizes and least values of columns (P,).
 
-    `tolerated` (K,) N·m is what need not be explained: noise is that much at least.
+    `tolerated` (K,) N·m is what need not be explained: noise is that much at least. `within` names kinds whose columns
+    are among those of another: a place has one of them.
     """
 
     moments: Moments
@@ -90,6 +91,7 @@ class Choice:
     least: np.ndarray
     tolerated: np.ndarray
     rules: Rules
+    within: Mapping[str, str] = field(default_factory=dict)
 
     def chosen(self) -> Chosen:
         """The set of highest score that single steps lead to."""
@@ -103,25 +105,24 @@ class Choice:
             if (step := next((each for each in predicted if _lower(best.unseen, each.unseen)), None)) is None:
                 break
             best = step
-        return self._with_gains(best)
+        return best
 
     def plain(self, kinds: Sequence[str]) -> Chosen:
         """Effects of these ``kinds`` at all places, under next to no prior: as a least-squares fit has them."""
         every = tuple(Statement(kind, self.kinds[kind], FIXED.plain_size) for kind in kinds if kind in self.kinds)
-        return self._with_gains(self._fitted(every))
+        return self._fitted(every)
 
     def including(self, best: Chosen, columns: Sequence[int]) -> Chosen:
-        """The set with these ``columns``, whether they gain or not."""
+        """The set with the effects at the places that these ``columns`` are of, whether they gain or not."""
         places = {(kind, place) for kind, own in self.kinds.items() for place in own if {*own[place]} & {*columns}}
-        if not places:
-            return best
         statements = {statement.kind: statement for statement in best.statements}
         for kind, place in sorted(places):
             own = statements.get(kind, Statement(kind, {}, 1.0))
             statements[kind] = replace(own, columns={**own.columns, place: self.kinds[kind][place]})
-        return self._with_gains(self._fitted(tuple(statements.values())))
+        return self._fitted(tuple(statements.values())) if places else best
 
-    def _with_gains(self, best: Chosen) -> Chosen:
+    def with_gains(self, best: Chosen) -> Chosen:
+        """The set with what each of its statements gains."""
         without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]
         return replace(best, gain=tuple(float(best.score - each.score) for each in without))
 
@@ -147,6 +148,8 @@ class Choice:
         """Coefficients, noise and score of a set; places where a value is less than it may be are left out."""
         m = self.moments
         noise = np.sqrt(np.maximum(m.square / m.rows, 1e-300))
+        of = {statement.kind: set(statement.columns) for statement in statements}
+        statements = tuple(_but(s, of.get(self.within.get(s.kind, ""), set())) for s in statements)
         while True:
             columns = [p for statement in statements for p in statement.every]
             prior = np.array([1 / (s.size * self.size[p]) ** 2 for s in statements for p in s.every])
@@ -161,35 +164,33 @@ class Choice:
                 left = np.maximum(left, m.rows * np.maximum(self.tolerated**2, 1e-300))
                 noise = np.sqrt(left / m.rows)
             low = {p for p, value in zip(columns, values, strict=True) if value < self.least[p]}
-            kept = []
-            for statement in statements:
-                places = {place: own for place, own in statement.columns.items() if not low & set(own)}
-                if places:
-                    kept.append(Statement(statement.kind, places, statement.size))
             if not low:
                 break
-            statements = tuple(kept)
+            below = [{place for place, own in s.columns.items() if low & set(own)} for s in statements]
+            statements = tuple(_but(s, places) for s, places in zip(statements, below, strict=True))
+        statements = tuple(s for s in statements if s.columns)
         determinant = np.linalg.slogdet(even)[1] + 2 * np.log(unit).sum() - np.log(prior).sum()
         fit = -0.5 * float(m.count @ (np.log(noise**2) + 1.0)) - 0.5 * float(prior @ values**2) - 0.5 * determinant
         return Chosen(statements, tuple(columns), values, noise, fit + self._log_prior(statements))
 
-    def _unseen(self, chosen: Chosen) -> np.ndarray:
-        """(F,) squared errors of each fold by a fit to the others, in those of all missing torque, over joints."""
+    def left_out(self, chosen: Chosen) -> np.ndarray:
+        """(F, p) coefficients of fits without one fold each."""
         m, columns = self.moments, list(chosen.columns)
         prior = np.diag([1 / (s.size * self.size[p]) ** 2 for s in chosen.statements for p in s.every])
-        weight = m.count / m.rows / chosen.noise**2
-        found = []
-        for gram, cross, square in m.folds:
-            left = square
-            if columns:
-                own, mine = gram[:, columns][:, :, columns], cross[:, columns]
-                A = prior.reshape(len(columns), -1) + np.einsum(
-                    "k,kpq->pq", weight, m.gram[:, columns][:, :, columns] - own
-                )
-                unit = np.sqrt(np.diag(A))
-                values = np.linalg.solve(A / unit[:, None] / unit, weight @ (m.cross[:, columns] - mine) / unit) / unit
-                left = square - 2 * mine @ values + np.einsum("kpq,p,q->k", own, values, values)
-            found.append(float((left / np.maximum(m.square, 1e-300)).sum()))
+        weight, found = m.count / m.rows / chosen.noise**2, np.zeros((len(m.folds), len(columns)))
+        for n, (gram, cross, _) in enumerate(m.folds if columns else ()):
+            A = prior + np.einsum("k,kpq->pq", weight, (m.gram - gram)[:, columns][:, :, columns])
+            unit = np.sqrt(np.diag(A))
+            found[n] = np.linalg.solve(A / unit[:, None] / unit, weight @ (m.cross - cross)[:, columns] / unit) / unit
+        return found
+
+    def _unseen(self, chosen: Chosen) -> np.ndarray:
+        """(F,) squared errors of each fold by a fit to the others, in those of all missing torque, over joints."""
+        columns, found = list(chosen.columns), []
+        for (gram, cross, square), values in zip(self.moments.folds, self.left_out(chosen), strict=True):
+            own, mine = gram[:, columns][:, :, columns], cross[:, columns]
+            left = square - 2 * mine @ values + np.einsum("kpq,p,q->k", own, values, values)
+            found.append(float((left / np.maximum(self.moments.square, 1e-300)).sum()))
         return np.array(found)
 
     def _log_prior(self, statements: Sequence[Statement]) -> float:
@@ -217,6 +218,11 @@ def log_of_places(count: int, places: int, rules: Rules) -> float:
     if count == places:
         return log(every if places > 2 else every + several)
     return log(several / max(2**places - places - 2, 1))
+
+
+def _but(statement: Statement, places: Collection[str]) -> Statement:
+    """A statement without some of its places."""
+    return replace(statement, columns={p: own for p, own in statement.columns.items() if p not in places})
 
 
 def _less(statements: Sequence[Statement], number: int) -> tuple[Statement, ...]:

@@ -55,6 +55,8 @@ JOINT_KINDS = {
     "constant_torque": (("torque", "N·m"),),
     "actuator_gain": (("gain", "1"),),
 }
+WITHIN = {"constant_torque": "joint_stiffness"}
+"""Effects whose column is among those of another."""
 FILED = {
     "viscous_friction": "damping",
     "coulomb_friction": "friction",

@@ -32,7 +32,16 @@ from invdyn.diagnosis.regression.linear_effects import (
 )
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
-from invdyn.diagnosis.regression.stated_numbers import Estimated, Stated, drawn, named, of_joints, of_links, stated
+from invdyn.diagnosis.regression.stated_numbers import (
+    Estimated,
+    Stated,
+    drawn,
+    named,
+    of_joints,
+    of_links,
+    of_others,
+    stated,
+)
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
 from invdyn.diagnosis.regression.weighted_fit import correlation_times, left_by, weighted_fit
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
@@ -63,7 +72,8 @@ class Regression:
     `joints` are the names of K. `coefficients` are all numbers, of links that move as one each by itself, and `draws`
     are from their Gaussian, always of the same seed. `far_gains` are of servos by joint, times the file's: no
     search about the file's numbers comes to them. `torque` is of the held-out rows that `unseen` has, and so is
-    `plain`, of viscous and Coulomb friction at all joints alone.
+    `plain`, of viscous and Coulomb friction at all joints alone. `others` are numbers of effects that are not stated,
+    with their probabilities.
     """
 
     joints: tuple[str, ...]
@@ -76,12 +86,14 @@ class Regression:
     unseen: Unseen | None = field(default=None, repr=False, compare=False)
     draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(default=(), repr=False, compare=False)
     far_gains: Mapping[str, float] = field(default_factory=dict, compare=False)
+    others: tuple[Estimated, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
         return {
             "statements": self.stated,
             "numbers": self.numbers,
+            "others": self.others,
             "torque": self.torque.to_json(self.joints),
             "friction_alone": self.plain.to_json(self.joints),
             "rows": self.rows,
@@ -140,16 +152,12 @@ def regress(
     torque = closing(unseen.of_file, left[best], memory, rules)
     plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
     there = Unseen(last, named(known, fits[best].chosen, gains), unseen.of_file, left[best], known.cutoff, memory)
-    if other is None:
-        whole = of(motion=motion, along=along, factor=gains.factor)
-        fit = weighted_fit(whole, motion, rules, PLAIN[best], before)
-    else:
-        whole, fit = known, fits[best]
-    said = stated(whole, fit, gains, memory)
+    whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor)
+    fit = weighted_fit(whole, motion, rules, PLAIN[best], before, others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     return Regression(
         body.joint_names,
-        said,
+        stated(whole, fit, gains, memory, numbers),
         numbers,
         torque,
         plain,
@@ -158,6 +166,7 @@ def regress(
         there,
         drawn(whole, fit, gains),
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
+        tuple(of_others(whole, fit)),
     )
 
 

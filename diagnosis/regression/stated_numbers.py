@@ -8,10 +8,17 @@ has ε = 1/(1 + g) − 1; all other numbers of its joint are β/(1 + g). With γ
 Where the motion of a joint does not tell g, all that is known in its servo's torque is as unsure as the gain, and by
 the same factor: log-normal, with sd `servo_gain_sd`. Links move by base parameters, sums of numbers of several links.
 
+The probability that a number is another than the file's weighs the two at even odds. With b its estimate, s its sd and
+F − 1 degrees of freedom (:mod:`.weighted_fit`), and the prior N(0, u²) of a few sizes u,
+
+    P/(1 − P) = mean over u of t(b; √(s² + u²))/t(b; s)
+
+It is a half where a log tells nothing, and near 1 only where all parts of the log tell the same.
+
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,6 +41,7 @@ class Estimated:
     """A number: `parameter` of an effect at a place, with its 90 % interval; `of_file` is what the file has of it.
 
     ``known_with`` are further numbers that are known with it alone, name → factor (:func:`.regressors.base_columns`).
+    ``probability`` is that the robot's is another than the file's.
     """
 
     effect: str
@@ -45,19 +53,31 @@ class Estimated:
     unit: str
     of_file: float = 0.0
     known_with: Mapping[str, float] = field(default_factory=dict)
+    probability: float = 1.0
 
 
 @dataclass(frozen=True)
 class Stated:
-    """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it."""
+    """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it.
+
+    `probability` is by place; of links, that any of their numbers is another.
+    """
 
     effect: str
     places: tuple[str, ...]
     everywhere: bool
     gain_nats: float
+    probability: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sure(self) -> tuple[str, ...]:
+        """Places at which it is there without much doubt."""
+        return tuple(p for p in self.places if self.probability.get(p, 1.0) >= FIXED.sure_probability)
 
 
-def stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, memory: float) -> tuple[Stated, ...]:
+def stated(
+    effects: LinearEffects, fit: Fitted, servos: ServoGains, memory: float, numbers: Sequence[Estimated]
+) -> tuple[Stated, ...]:
     """What was chosen, and gains that are far from the file's; of ``memory`` rows one counts."""
     found = {s.kind: (tuple(s.columns), gain) for s, gain in zip(fit.chosen.statements, fit.chosen.gain, strict=True)}
     if servos.changed.any():
@@ -66,8 +86,18 @@ def stated(effects: LinearEffects, fit: Fitted, servos: ServoGains, memory: floa
         before, after = (np.sqrt((each**2).mean(0)) for each in (effects.of_file, left_by(effects, fit.chosen)))
         gain += len(effects.missing) / memory * float(np.log(before / after)[servos.changed].sum())
         found = {GAIN: (tuple(every), gain), **found}
+    of_links = max((each.probability for each in numbers if each.effect == INERTIAL), default=1.0)
+    # of an effect with several numbers the first one makes it what it is
+    first = {(each.effect, each.place): each.probability for each in reversed(numbers)}
     return tuple(
-        Stated(kind, places, len(places) == _places(effects, kind), gain) for kind, (places, gain) in found.items()
+        Stated(
+            kind,
+            places,
+            len(places) == _places(effects, kind),
+            gain,
+            {place: of_links if kind == INERTIAL else first[kind, place] for place in places},
+        )
+        for kind, (places, gain) in found.items()
     )
 
 
@@ -135,11 +165,36 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
         if place in unsure:
             sd = np.hypot(sd, FIXED.servo_gain_sd * (1 + value if kind == GAIN else value))
         p = own.get((kind, place, name))
+        key = (kind, place, name)
+        known = (value, float(sd)) if kind == GAIN else (fitted[key], sd_of[key])
+        probability = probability_of(*known, 1.0 if p is None else float(effects.size[p]), fit.freedom)
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
         unit = "1" if p is None else effects.units[p]
         sd, interval = _estimate(value, float(sd), fit.freedom)
-        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed))
+        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, probability=probability))
     return found
+
+
+def of_others(effects: LinearEffects, fit: Fitted) -> list[Estimated]:
+    """Numbers of effects at joints that were not chosen, each as it would be by itself besides."""
+    found = []
+    for p, (value, sd) in fit.others.items():
+        probability = probability_of(value, sd, float(effects.size[p]), fit.freedom)
+        what = (effects.kinds[p], effects.places[p], effects.names[p])
+        found.append(
+            Estimated(*what, value, *_estimate(value, sd, fit.freedom), effects.units[p], 0.0, {}, probability)
+        )
+    return found
+
+
+def probability_of(value: float, sd: float, size: float, freedom: int) -> float:
+    """P of the top of the file; ``size`` is of an effect as large as is usual."""
+    if sd == 0:
+        return float(value != 0)
+    wide = sd**2 + (size * np.array(FIXED.regression_sizes)) ** 2
+    far = np.log1p(value**2 / (freedom * sd**2)) - np.log1p(value**2 / (freedom * wide))
+    odds = np.exp(np.minimum(-0.5 * np.log(wide / sd**2) + 0.5 * (freedom + 1) * far, 500.0)).mean()
+    return float(odds / (1 + odds))
 
 
 def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
@@ -166,7 +221,9 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         parts = {named[j]: float(combination[j]) for j in rest if abs(combination[j]) > 1e-9}
         p = columns[b]
         name, place, unit = effects.names[p], effects.places[p], effects.units[p]
-        found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts))
+        size = float(np.linalg.norm(combination * effects.size[columns]))
+        probability = probability_of(value - nominal, sd, size, fit.freedom)
+        found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability))
     return found
 
 

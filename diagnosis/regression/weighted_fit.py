@@ -10,31 +10,39 @@ it may stick, under any torque. Which effects, and where, is decided by evidence
 e^{−20 t}, or the low-pass filter.
 
 With A = XᵀWX/σ² + Λ the covariance of β is A⁻¹ B A⁻¹, B the sum over blocks of rows of (Σ x w r/σ²)(…)ᵀ: blocks several
-correlation times long, with as many degrees of freedom (Künsch 1989; White 1980).
+correlation times long (Künsch 1989; White 1980). Effects that no log has in this form differ by more from one part of
+it to the next. So the sd of each β is at least that of a jackknife over F folds of neighbouring rows,
+
+    s² = (F − 1)/F Σ_f (β_(−f) − mean)²,     F − 1 degrees of freedom                    (Shao & Wu 1989)
 
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
-from invdyn.diagnosis.regression.linear_effects import LinearEffects
+from invdyn.diagnosis.regression.linear_effects import INERTIAL, WITHIN, LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.rules import FIXED, Rules
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows."""
+    """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows.
+
+    `others` are columns of effects at places that were not chosen: value and sd with each of these added by itself.
+    """
 
     chosen: Chosen
     covariance: np.ndarray
     freedom: int
     weights: np.ndarray
+    others: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
 
 def weighted_fit(
@@ -43,11 +51,13 @@ def weighted_fit(
     rules: Rules,
     plain: tuple[str, ...] | None = None,
     before: Sequence[int] = (),
+    others: bool = False,
 ) -> Fitted:
     """Weights and time constants from all columns, then the choice among them, then both again with it.
 
     Of ``plain`` kinds nothing is chosen: they are there at all places. Columns ``before`` are, too: their coefficients
-    were estimated before, and what is not known of them widens the others.
+    were estimated before, and what is not known of them widens the others. ``others`` says that those of joints are
+    wanted.
     """
     moving = effects.free & effects.columns.moving
     kinds: dict[str, dict[str, tuple[int, ...]]] = {}
@@ -67,14 +77,24 @@ def weighted_fit(
     for _ in range(2):
         tau = np.clip(correlation_times(left, motion.stretch), least, max(least, longest))
         moments = _moments(effects, weights, tau)
-        choice = Choice(moments, kinds, effects.size, effects.least, rules.evidence.tolerance * effects.required, rules)
+        tolerated = rules.evidence.tolerance * effects.required
+        choice = Choice(moments, kinds, effects.size, effects.least, tolerated, rules, WITHIN)
         chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)
         weights = moves * _weights(effects, columns, chosen.values, left, noise)
-    covariance, freedom = _covariance(effects, chosen, weights, motion.stretch, correlation_times(left, motion.stretch))
-    return Fitted(chosen, covariance, freedom, weights)
+    tau = correlation_times(left, motion.stretch)
+    gram = effects.columns.sums(effects.missing, weights)[0]
+    of = partial(_covariance, effects, choice, gram, weights, motion.stretch, tau)
+    added = {}
+    for kind, places in kinds.items() if others else ():
+        for own in places.values():
+            also = choice.including(chosen, own)
+            if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
+                place, sd = also.columns.index(own[0]), np.sqrt(np.diag(of(also)))
+                added[own[0]] = (float(also.values[place]), float(sd[place]))
+    return Fitted(choice.with_gains(chosen), of(chosen), len(moments.folds) - 1, weights, added)
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:
@@ -132,25 +152,30 @@ def _moments(effects: LinearEffects, weights: np.ndarray, tau: np.ndarray) -> Mo
 
 
 def _covariance(
-    effects: LinearEffects, chosen: Chosen, weights: np.ndarray, stretch: np.ndarray, tau: np.ndarray
-) -> tuple[np.ndarray, int]:
-    """A⁻¹ B A⁻¹ (p, p) over blocks, at least the posterior's of rows that count; and the blocks less one."""
-    columns = list(chosen.columns)
+    effects: LinearEffects,
+    choice: Choice,
+    gram: np.ndarray,
+    weights: np.ndarray,
+    stretch: np.ndarray,
+    tau: np.ndarray,
+    chosen: Chosen,
+) -> np.ndarray:
+    """A⁻¹ B A⁻¹ (p, p) over blocks, at least that of rows that count, and of the jackknife; ``gram`` is XᵀWX."""
+    columns, noise = list(chosen.columns), chosen.noise
     if not columns:
-        return np.zeros((0, 0)), 1
-    left = left_by(effects, chosen)
-    scaled = weights / chosen.noise**2
+        return np.zeros((0, 0))
+    own = gram[:, columns][:, :, columns] / noise[:, None, None] ** 2
     prior = np.diag([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
-    gram = effects.columns.sums(effects.missing, scaled)[0][:, columns][:, :, columns]
-    inverse = _inverse(gram.sum(0) + prior)
-    length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(left) // 8, 1)))
-    block = np.unique(stretch * len(left) + np.arange(len(left)) // length, return_index=True)[1]
-    count = len(block)
-    sums = effects.columns.block_sums(scaled * left, block)[:, columns]
-    robust = inverse @ (sums.T @ sums) @ inverse * count / max(count - 1, 1)
-    mean = (gram / tau[:, None, None]).sum(0) + prior
-    grow = np.sqrt(np.maximum(np.diag(_inverse(mean)) / np.maximum(np.diag(robust), 1e-300), 1.0))
-    return robust * grow[:, None] * grow, max(count - 1, 1)
+    inverse = _inverse(own.sum(0) + prior)
+    length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(weights) // 8, 1)))
+    block = np.unique(stretch * len(weights) + np.arange(len(weights)) // length, return_index=True)[1]
+    sums = effects.columns.block_sums(weights / noise**2 * left_by(effects, chosen), block)[:, columns]
+    robust = inverse @ (sums.T @ sums) @ inverse * len(block) / max(len(block) - 1, 1)
+    without = choice.left_out(chosen)
+    jackknife = (len(without) - 1) * without.var(0)
+    least = np.maximum(np.diag(_inverse((own / tau[:, None, None]).sum(0) + prior)), jackknife)
+    grow = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-300), 1.0))
+    return np.asarray(robust * grow[:, None] * grow)
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

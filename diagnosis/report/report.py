@@ -158,7 +158,7 @@ def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Rows of what a regression found: what, value and interval; what a link's number is known with, in words."""
+    """Rows of what a regression found: what, value, interval, probability; what a link's number is known with."""
     found = diagnosis.regression.numbers if diagnosis.regression is not None else ()
     rows: list[tuple[str, ...]] = []
     for each in found:
@@ -167,7 +167,8 @@ def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
         )
         of = "of" if each.effect == "inertial_error" else "at"
         what = f"{effect_words(each.effect)}: {each.parameter} {of} {each.place}{with_others}"
-        rows.append((what, *estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))))
+        known = estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))
+        rows.append((what, *known, percent(each.probability)))
     return rows
 
 

@@ -150,16 +150,21 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
 
 
 def regression_words(regression: Regression) -> str:
-    """Effects and places of a regression: "viscous friction at all joints and rotor inertia at the elbow"."""
-    parts = []
+    """Effects and places of a regression: "viscous friction at all joints and perhaps a spring at the elbow (40 %)"."""
+    sure, perhaps = [], []
     for stated in regression.stated:
         words, of = effect_words(stated.effect), "link" if stated.effect == "inertial_error" else "joint"
-        if stated.everywhere and len(stated.places) > 1:
-            at = f"all {of}s"
-        else:
-            at = named([place_words(of, place) for place in stated.places])
-        parts.append(f"{words} {'of' if of == 'link' else 'at'} {at}")
-    return named(parts) if parts else "no effect"
+        words += " of" if of == "link" else " at"
+        rest = [place for place in stated.places if place not in stated.sure]
+        if stated.everywhere and not rest and len(stated.places) > 1:
+            sure.append(f"{words} all {of}s")
+        elif stated.sure:
+            sure.append(f"{words} {named([place_words(of, place) for place in stated.sure])}")
+        if rest:
+            places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in rest]
+            perhaps.append(f"{words} {named(places)}")
+    parts = [named(sure)] * bool(sure) + [f"perhaps {named(perhaps)}"] * bool(perhaps)
+    return " and ".join(parts) or "no effect"
 
 
 def interim(regression: Regression) -> str:

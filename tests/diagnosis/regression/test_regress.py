@@ -77,6 +77,20 @@ def test_friction_at_every_joint_is_two_statements():
         assert low - each.sd < truth < high + each.sd
     assert result.torque.share > 0.9
     assert result.torque.interval_90[0] > 0.85
+    assert all(s.sure == s.places for s in result.stated)
+    assert max(each.probability for each in result.others) < 0.5
+
+
+def test_an_effect_that_half_of_a_log_has_is_no_certainty():
+    """Friction that comes at half-time, beside some that is there all along: both parts must tell the same."""
+
+    def late(m):
+        return np.array([0.0, 0.5]) * np.sign(m.qd) * (m.time > 6.0)[:, None] + np.array([0.5, 0.0]) * np.sign(m.qd)
+
+    result = regress(recorded(4, late), BODY)
+    own = {(e.effect, e.place): e.probability for e in (*result.numbers, *result.others)}
+    assert own["coulomb_friction", "shoulder"] > 0.95
+    assert 0.1 < own["coulomb_friction", "elbow"] < 0.9
 
 
 def test_nothing_is_stated_where_nothing_lacks():
