@@ -6,102 +6,165 @@ before it is computed (memoisation: Michie 1968, "Memo functions and machine lea
 killed loses the units at work, one for each process; its result is the same to the bit.
 
 A unit also leaves what it did to the budget, and the failure that is its answer. Units are numbers and names, as all
-checkpoints (:mod:`invdyn.inference.execution.checkpoint`): to read them runs no code.
+checkpoints (:mod:`invdyn.inference.execution.checkpoint`): to read them runs no code. Effects and models are no
+numbers. They follow from the problem, the effects that the unit was given, and the parameters.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
+import torch
+from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.diagnosis.budget import Budget
-from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.checkpoint import digest
 from invdyn.inference.execution.distribute import Tensors, inside
+from invdyn.models import ArmModel
 from invdyn.models.divergence import Diverged, Singular, diverging
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import NotTogether
 
+P = ParamSpec("P")
 T = TypeVar("T")
-
-Numbers = tuple[Tensors, dict[str, Any]]
-"""Tensors by name, and values that JSON can hold."""
 
 FAILURES = {each.__name__: each for each in (Diverged, Singular, NotTogether)}
 """What says that a candidate is none; see :func:`.budget.attempt`."""
 
 
-def kept(
-    folder: Checkpoint | None,
-    budget: Budget,
-    name: str,
-    inputs: Sequence[Any],
-    compute: Callable[[], T],
-    pack: Callable[[T], Numbers],
-    unpack: Callable[[Tensors, dict[str, Any]], T],
-) -> T:
-    """The result of ``compute``, or the one that is kept in the ``folder``; raises what it raised.
+def kept_unit(
+    name: str, *records: type
+) -> Callable[[Callable[Concatenate[Any, P], T]], Callable[Concatenate[Any, P], T]]:
+    """Keep what a function returns, or raises, in its problem's checkpoint; where that has none, it is only computed.
 
-    Args:
-        folder: of the whole diagnosis; None where nothing is kept.
-        budget: of the diagnosis, which is brought to where the unit left it.
-        name: of the kind of unit.
-        inputs: all that the result depends on, but for the budget's work so far.
-        compute: the unit.
-        pack, unpack: from its result to numbers, and back.
+    The problem is the function's first argument. Its content and all other arguments are what the result depends on.
+    The problem's budget is brought to where the unit left it. Results hold ``records``, the classes of dataclasses in
+    them, besides what is listed in :class:`_Plain`. Arrays are laid out row by row, as they come back: sums, and so
+    the last bit, depend on that.
     """
-    if folder is None:
-        return compute()
-    before, missed = budget.done, budget.missed
-    store = inside(folder, f"{name}-{content_digest([*inputs, before])}")
-    assert store is not None
-    if (found := store.load()) is not None:
-        tensors, state = found
-        budget.done, budget.missed = state["done"], missed | set(state["missed"])
-        if "failure" in state:
-            raise FAILURES[state["failure"]](state["words"])
-        return unpack(tensors, state)
-    try:
-        with diverging():
-            result = compute()
-    except tuple(FAILURES.values()) as error:
-        store.save({}, failure=type(error).__name__, words=str(error), **_spent(budget, missed))
-        raise
-    tensors, values = pack(result)
-    store.save(tensors, **values, **_spent(budget, missed))
-    return result
+    kinds = {each.__name__: each for each in records}
+
+    def decorated(compute: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], T]:
+        @wraps(compute)
+        def unit(problem: Any, *given: P.args, **options: P.kwargs) -> T:
+            if problem.checkpoint is None:
+                return _laid_out(compute(problem, *given, **options))
+            budget = problem.budget
+            before, missed = budget.done, budget.missed
+            known = _Plain()
+            inputs = known.of([problem.content, given, options, before])
+            store = inside(problem.checkpoint, f"{name}-{_name_of(inputs)}")
+            assert store is not None
+            if (found := store.load()) is not None:
+                tensors, state = found
+                budget.done, budget.missed = state["done"], missed | set(state["missed"])
+                if "failure" in state:
+                    raise FAILURES[state["failure"]](state["words"])
+                return _unpacked(state["result"], problem.model, known.effects, kinds, tensors)
+
+            def spent() -> dict[str, Any]:
+                return {"done": budget.done, "missed": sorted(budget.missed - missed)}
+
+            try:
+                with diverging():
+                    result = _laid_out(compute(problem, *given, **options))
+            except tuple(FAILURES.values()) as error:
+                store.save({}, failure=type(error).__name__, words=str(error), **spent())
+                raise
+            kept = _Plain()
+            plain = kept.of(result)
+            store.save(kept.tensors, result=plain, **spent())
+            return result
+
+        return unit
+
+    return decorated
 
 
-def _spent(budget: Budget, missed: frozenset[str]) -> dict[str, Any]:
-    return {"done": budget.done, "missed": sorted(budget.missed - missed)}
+def _laid_out(value: Any) -> Any:
+    """A result with its arrays and tensors row by row."""
+    if isinstance(value, Tensor):
+        return value.contiguous()
+    if isinstance(value, np.ndarray):
+        return np.ascontiguousarray(value).reshape(value.shape)
+    if isinstance(value, list | tuple):
+        return type(value)(map(_laid_out, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{each.name: _laid_out(getattr(value, each.name)) for each in fields(value)})
+    return value
+
+
+class _Plain:
+    """Values as JSON holds them without loss; what they name by content, arrays and tensors, and their effects."""
+
+    def __init__(self) -> None:
+        self.tensors: Tensors = {}
+        self.effects: dict[tuple[str, int], Effect] = {}
+
+    def of(self, value: Any) -> Any:
+        """Numbers, texts, arrays, effects, models, records and collections of them."""
+        if isinstance(value, Tensor | np.ndarray):
+            tensor = torch.as_tensor(np.ascontiguousarray(value).reshape(value.shape))
+            name = digest(tensor)
+            self.tensors[name] = tensor
+            return {"tensor" if isinstance(value, Tensor) else "array": name}
+        if isinstance(value, Effect):
+            self.effects[value.key, value.variant] = value
+            return {"effect": [value.key, value.variant], "class": type(value).__name__}
+        if isinstance(value, ArmModel):
+            parameters = self.of(dict(value.parameters))
+            return {"effects": self.of(list(value.effects)), "parameters": parameters, "substeps": value.substeps}
+        if isinstance(value, list | tuple):
+            return {type(value).__name__: [self.of(each) for each in value]}
+        if isinstance(value, Mapping):
+            return {"dict": {key: self.of(value[key]) for key in sorted(value)}}
+        if is_dataclass(value) and not isinstance(value, type):
+            own = {each.name: self.of(getattr(value, each.name)) for each in fields(value)}
+            return {"record": type(value).__name__, "fields": own}
+        if isinstance(value, Distribution):  # a prior's numbers stand next to it
+            return type(value).__name__
+        value = value.item() if isinstance(value, np.generic) else value
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        raise TypeError(f"expected numbers, names and effects, got {type(value).__name__}")
+
+
+def _unpacked(
+    state: Any, model: ArmModel, effects: Mapping[tuple[str, int], Effect], kinds: Mapping[str, type], tensors: Tensors
+) -> Any:
+    """What :class:`_Plain` has made of a result; ``model`` is the problem's, ``effects`` are by key and variant."""
+
+    def back(state: Any) -> Any:
+        match state:
+            case {"tensor": name}:
+                return tensors[name]
+            case {"array": name}:
+                return tensors[name].numpy()
+            case {"effect": [key, variant]}:
+                return effects[key, variant].bound(model.body)
+            case {"effects": own, "parameters": parameters}:
+                return model.with_effects(*back(own)).replace(**back(parameters))
+            case {"list": values}:
+                return [back(each) for each in values]
+            case {"tuple": values}:
+                return tuple(back(each) for each in values)
+            case {"dict": values}:
+                return {key: back(each) for key, each in values.items()}
+            case {"record": kind, "fields": own}:
+                return kinds[kind](**{key: back(each) for key, each in own.items()})
+        return state
+
+    return back(state)
 
 
 def content_digest(value: Any) -> str:
     """A short hexadecimal name of a value's content: equal for equal numbers, whichever type holds them."""
-    return hashlib.sha256(json.dumps(_plain(value)).encode()).hexdigest()[:24]
+    return _name_of(_Plain().of(value))
 
 
-def _plain(value: Any) -> Any:
-    """Numbers, arrays, names, effects and collections of them, as JSON has them without loss."""
-    if isinstance(value, Tensor):
-        return digest(value)
-    if isinstance(value, np.ndarray):
-        return ["array", str(value.dtype), list(value.shape), hashlib.sha256(value.tobytes()).hexdigest()]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, Effect):
-        return [type(value).__name__, value.key, value.variant]
-    if isinstance(value, Mapping):
-        return [[key, _plain(value[key])] for key in sorted(value)]
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        return [[each.name, _plain(getattr(value, each.name))] for each in fields(value)]
-    if isinstance(value, float):
-        return value.hex()
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    raise TypeError(f"expected numbers, names and effects, got {type(value).__name__}")
+def _name_of(plain: Any) -> str:
+    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()[:24]

@@ -16,9 +16,8 @@ Shapes: M filters, N particles, T rows, p unknowns.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import arviz as az
 import numpy as np
@@ -27,14 +26,11 @@ from pyro.infer.smcfilter import SMCFailed
 from scipy.stats import multivariate_t
 from torch import Tensor
 
-from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of
-from invdyn.diagnosis.kept_units import Numbers, kept
+from invdyn.diagnosis.kept_units import kept_unit
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.inference.execution.distribute import Tensors
-from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.block_filter import BLOCK, BlockFilter
@@ -111,38 +107,18 @@ def confirm(
     return Confirmed(outer.log_evidence + float(rest), outer.log_evidence_sd, values.numpy(), result)
 
 
+@kept_unit("confirm", FilterResult)
 def _run(
     problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, filters: int
 ) -> tuple[Tensor, FilterResult] | None:
-    """Parameters (M, p) of the filters, and what they found, weighted; None where one has died.
-
-    Kept with the problem's units. Tensors are laid out row by row, as they come back.
-    """
-
-    def pack(run: tuple[Tensor, FilterResult] | None) -> Numbers:
-        return ({}, {"died": True}) if run is None else ({"values": run[0], **flattened(run[1])}, {"died": False})
-
-    def unpack(tensors: Tensors, state: dict[str, Any]) -> tuple[Tensor, FilterResult] | None:
-        return None if state["died"] else (tensors.pop("values"), unflattened(FilterResult, tensors))
-
-    inputs = [problem.content, content_of(cause), seed, filters]
-    run = partial(_filtered_at, problem, cause, seed, filters)
-    return kept(problem.checkpoint, problem.budget, "confirm", inputs, run, pack, unpack)
-
-
-def _filtered_at(
-    problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, filters: int
-) -> tuple[Tensor, FilterResult] | None:
+    """Parameters (M, p) of the filters, and what they found, weighted; None where one has died."""
     values, log_ratio = _draw(problem, cause, filters, seed)
     try:
         with diverging():
             result = _filtered(problem, cause, values, best_size(problem, cause), seed)
     except (SMCFailed, Diverged):
         return None
-    result = replace(result, log_evidence=result.log_evidence + log_ratio)
-    laid_out = {each.name: getattr(result, each.name) for each in fields(result)}
-    laid_out = {name: None if value is None else value.contiguous() for name, value in laid_out.items()}
-    return values.contiguous(), FilterResult(**laid_out)
+    return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 
 
 def _filtered(

@@ -3,7 +3,6 @@
 Backlash acts when its gap is crossed, and along the path of another width, or of none, little shows of what it
 explains. So each width gets a path of its own by a homotopy from the base's (:func:`.continuation.continued`), along
 which the base's unknowns are refined. The evidence there is smooth in the width's logarithm and has one top, far
-from invdyn.diagnosis.rules import DEFAULT, Rules
 from it too. Steps lead there, then parabolas,
 
     log Z(x ± h),  log Z(x):   top  x + h (r − l) / 2c,   variance  h² / c,   c = 2 log Z(x) − l − r,

@@ -12,7 +12,6 @@ turns, until none gains (coordinate ascent).
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from itertools import cycle, islice
 
 import numpy as np
@@ -21,9 +20,9 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.backlash_search import refine_backlash
-from invdyn.diagnosis.hypotheses.kept_hypotheses import content_of, kept_hypothesis
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of
+from invdyn.diagnosis.kept_units import kept_unit
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
@@ -35,6 +34,7 @@ from invdyn.inference.smoothing.linearisation import Linearisation, Slopes, seen
 from invdyn.models.effects.base import Effect
 
 
+@kept_unit("search", FittedHypothesis)
 def refine_searched(
     problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float = -np.inf
 ) -> FittedHypothesis | None:
@@ -42,14 +42,6 @@ def refine_searched(
 
     None if nothing is gained, or if the best of a grid stays under ``enough`` nats.
     """
-    inputs = [content_of(base), effect, enough]
-    find = partial(_searched, problem, base, effect, enough)
-    return kept_hypothesis(problem, "search", (*base.effects, effect), inputs, find)
-
-
-def _searched(
-    problem: DiagnosisProblem, base: FittedHypothesis, effect: Effect, enough: float
-) -> FittedHypothesis | None:
     if not is_noise(effect):
         return refine_backlash(problem, base, effect, enough)
     best = _added(problem, base, effect, max(base.log_evidence + problem.rules.search.min_gain, enough))

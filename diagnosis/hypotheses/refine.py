@@ -16,7 +16,6 @@ differences of a twentieth of their uncertainty. Parameters of all effects in th
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from scipy.special import logsumexp
 from torch import Tensor
 
 from invdyn.diagnosis.hypotheses.continuation import continued, lifted, with_smaller_residual
-from invdyn.diagnosis.hypotheses.kept_hypotheses import kept_hypothesis
+from invdyn.diagnosis.kept_units import kept_unit
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -35,11 +34,11 @@ from invdyn.diagnosis.sensitivity.memory import expansions
 from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.inference.smoothing.gauss_newton import gauss_newton_path
-from invdyn.models import ArmModel
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.effects.base import Effect
 
 
+@kept_unit("refine", FittedHypothesis)
 def refine(
     problem: DiagnosisProblem,
     effects: Sequence[Effect],
@@ -64,28 +63,8 @@ def refine(
     model = problem.model.with_effects(*effects)
     effects = tuple(model.effects)
     problem.budget.start(key_of(effects) or "no effect")
-    inputs: list[Any] = [values, path, size, noise_log, noise_sd, enough, doubtful, rounds]
-    found = kept_hypothesis(problem, "refine", effects, inputs, partial(_refined, problem, model, effects, *inputs))
-    assert found is not None  # a first step that fails raises
-    return found
-
-
-def _refined(
-    problem: DiagnosisProblem,
-    model: ArmModel,
-    effects: tuple[Effect, ...],
-    values: Mapping[str, float],
-    path: Tensor,
-    size: float,
-    noise_log: Mapping[str, float] | None,
-    noise_sd: Mapping[str, float] | None,
-    enough: float,
-    doubtful: float,
-    given_rounds: int | None,
-) -> FittedHypothesis:
-    """What :func:`refine` returns; ``model`` is the problem's with the ``effects``."""
-    rules, patient = problem.rules.descent, given_rounds is None
-    rounds = given_rounds or rules.max_rounds
+    rules, patient = problem.rules.descent, rounds is None
+    rounds = rounds or rules.max_rounds
     searched = {f"{e.key}.{p.name}" for e in effects if is_searched(e) for p in e.parameters(problem.model.scale)}
     noise = {name: float(values[name]) for name in searched}
     known_sd = {name: sd for name, sd in (noise_sd or {}).items() if name in noise}

@@ -7,7 +7,7 @@ request out.
 
 import base64
 import hashlib
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -64,7 +64,6 @@ def render(diagnosis: Diagnosis) -> str:
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
         left=left(diagnosis),
-        file_changes=_file_changes(diagnosis),
         regressed=_regressed(diagnosis),
         faint=plain(diagnosis.rules.evidence.min_dprime, 2),
         clear=plain(diagnosis.rules.evidence.clear_dprime, 2),
@@ -72,9 +71,9 @@ def render(diagnosis: Diagnosis) -> str:
         hidden=[key_words(key, diagnosis) for key in diagnosis.not_identifiable],
         visible=by_visibility(diagnosis),
         screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
-        numbers=_numbers(diagnosis),
+        words_of=partial(key_words, diagnosis=diagnosis),
         method={name.replace("_", " "): text for name, text in diagnosis.method.items()},
-        percent=percent,
+        **{each.__name__: each for each in (apart, fixed, handies, handy, known, percent, plain)},
         script=Markup(script),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         digest=digest(script),
@@ -144,19 +143,6 @@ def _cause(cause: Cause, best: float) -> dict:
     }
 
 
-def _file_changes(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Rows of the corrected file: what, from, to, and the interval."""
-    written = diagnosis.written
-    return [
-        (
-            f"{each['quantity']}{' of ' * bool(each['place'])}{each['place']}, {each['unit']}",
-            *apart(plain, each["from"], each["to"], digits=4),
-            " to ".join(apart(plain, *each["interval_90"], digits=3)),
-        )
-        for each in (written.changes if written else ())
-    ]
-
-
 def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """Rows of what a regression found: what, value, interval, probability; what a link's number is known with."""
     found = diagnosis.regression.numbers if diagnosis.regression is not None else ()
@@ -189,89 +175,6 @@ def _tiles(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         fixed_by = f"; corrected {new}" if gap.detected and known(after) else ""
         tiles.append(("Replay", old, f"rms off the smoothed recording{fixed_by}"))
     return tiles
-
-
-def _numbers(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Every number of the diagnosis besides the figures: name, value, what it means."""
-    gap, shrinkage = diagnosis.gap, diagnosis.shrinkage
-    rows = [
-        (
-            "Probability of a gap",
-            percent(gap.probability),
-            "That the simulation as it is, with its stated uncertainty, the noise and the integrator's own error, did "
-            "not make this recording.",
-        )
-    ]
-    what = {
-        "nominal": "Mean log density that the simulation as it is gives to the next frame, from the frames before it.",
-        "corrected": "The same with the cause added; the difference between the two is the gap that was closed.",
-        "noise_floor": "What a perfect simulation would reach in the mean, for the noise alone. Where there is less "
-        "noise than usual, a prediction may be better.",
-    }
-    for name, value in gap.elpd_per_frame.items():
-        label = f"Prediction, {name.replace('_', ' ')}"
-        rows.append((label, f"{fixed(value, 3)} nats a frame", what.get(name, "Mean log density of the next frame.")))
-    torque = (
-        "Torque that the joint must have exerted for the recording to come about, root mean square; before → after."
-        if not diagnosis.knows_torque
-        else "Torque that has to be added at the joint so that the simulation follows the recording, root mean square; "
-        "before → after the cause is added."
-    )
-    for name, value in gap.residual_torque_rms.items():
-        after = shrinkage.residual_torque_rms_after.get(name)
-        rows.append((f"Residual torque, {name}", " → ".join(handies("N·m", value, after)), torque))
-    for name, value in gap.replay_rms_m.items():
-        rows.append(
-            (
-                f"Replay, {name.replace('_', ' ')}",
-                handy(value, "m"),
-                "Distance of the simulated keypoints from the recorded ones, smoothed, when the simulation runs by "
-                "itself, root mean square.",
-            )
-        )
-    if known(shrinkage.gap_closed):
-        data = "on data that the fit has not seen" if shrinkage.held_out else "on the data of the fit"
-        rows.append(
-            ("Gap closed", percent(shrinkage.gap_closed), f"Share of the gap that the cause takes away, {data}.")
-        )
-    for name, part in shrinkage.by_effect.items() if len(shrinkage.by_effect) > 1 else ():
-        low, high = part.interval_90 or (None, None)
-        interval = f" ({percent(low)} to {percent(high)})" if known(low) else ""
-        rows.append(
-            (
-                f"… by {key_words(name, diagnosis)}",
-                f"{percent(part.gap_closed)}{interval}",
-                "Share that it takes away and the other effects of the cause leave, with its 90 % interval.",
-            )
-        )
-    for who, each in (diagnosis.closing.torque if diagnosis.closing is not None else {}).items():
-        low, high = each.interval_90
-        rows.append(
-            (
-                f"Missing torque explained by the {who}",
-                f"{percent(each.share)} ({percent(low)} to {percent(high)})",
-                "Share of the rms torque that the simulation misses along the smoothed motion, with its 90 % interval, "
-                "on rows that the fit has not seen.",
-            )
-        )
-    for horizon in diagnosis.closing.replay if diagnosis.closing is not None else ():
-        for who, rms in horizon.rms.items():
-            rows.append(
-                (
-                    f"Replay of {horizon.horizon:g} s, {who}",
-                    handy(rms, "rad"),
-                    "Error of the angles, rms over joints, from smoothed starts.",
-                )
-            )
-    if known(diagnosis.outside.probability):
-        rows.append(
-            (
-                "Outside the catalogue",
-                percent(diagnosis.outside.probability),
-                "Probability that something is at work which the catalogue lacks, alone or with effects that it has.",
-            )
-        )
-    return rows
 
 
 def by_visibility(diagnosis: Diagnosis) -> dict[str, list]:

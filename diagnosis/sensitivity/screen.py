@@ -4,19 +4,17 @@ Data and all candidates' columns are whitened for every size of the residual (:m
 is then a small regression (:mod:`.evidence`). A cause found with the smallest size leaves nothing to explain.
 """
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.special import logsumexp
 from torch import Tensor
 
-from invdyn.diagnosis.kept_units import Numbers, kept
+from invdyn.diagnosis.kept_units import kept_unit
 from invdyn.diagnosis.problem.cause import key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.unknowns import Unknowns
@@ -26,7 +24,6 @@ from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, Hypothesis, hypotheses, slopes, spans, unchanged
 from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, products
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
@@ -209,6 +206,7 @@ def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[
     return values
 
 
+@kept_unit("screen", Screened, Added, Hypothesis, Columns)
 def screen(
     problem: DiagnosisProblem,
     model: ArmModel,
@@ -226,23 +224,6 @@ def screen(
     for a while; by default those in which it would explain most.
     """
     problem.budget.start(*(key_of((*model.effects, effect)) for effect in effects))
-    inputs = [problem.content, *(tuple(model.effects), dict(model.parameters), model.substeps), path, effects]
-    inputs += [common.names, common.mean, common.sd, common.lower, common.upper, point, quiet, times]
-    run = partial(_screened, problem, model, path, effects, common, point, quiet, times)
-    unpack = partial(_from_numbers, [effect.bound(model.body) for effect in effects], path)
-    return kept(problem.checkpoint, problem.budget, "screen", inputs, run, _as_numbers, unpack)
-
-
-def _screened(
-    problem: DiagnosisProblem,
-    model: ArmModel,
-    path: Tensor,
-    effects: Sequence[Effect],
-    common: Unknowns,
-    point: np.ndarray,
-    quiet: bool,
-    times: Sequence[tuple[float, float]],
-) -> list[Screened]:
     levels = problem.regime.sizes
     levels = levels[:3] if quiet and problem.regime.knows_torque else levels
     # What an effect adds is small: half of the sub-steps tell it as well.
@@ -281,8 +262,7 @@ def _screened(
                     best.effect,
                     float(logsumexp(part)),
                     best,
-                    # laid out row by row, as it comes back where it was kept
-                    Columns(*(np.ascontiguousarray(each[..., own[mine[place]]]) for each in (columns.g, columns.d))),
+                    Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
                     _estimates(best, results[size], mine[place]),
                     None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
                     float(levels[size]),
@@ -292,36 +272,6 @@ def _screened(
             )
     screened.append(Screened(None, float(logsumexp(none)), None, None, {}, None, 0.0, np.inf, path))
     return sorted(screened, key=lambda s: -s.log_evidence)
-
-
-def _as_numbers(screened: list[Screened]) -> Numbers:
-    """What :func:`screen` returns, as it is kept; all of it is along one path."""
-    tensors: Tensors = {}
-    rows: list[dict[str, Any]] = []
-    for number, each in enumerate(screened):
-        row = {name: getattr(each, name) for name in ("log_evidence", "values", "elsewhere", "size", "dprime")}
-        if isinstance(each, Added):
-            best = {field.name: getattr(each.best, field.name) for field in fields(each.best)}
-            row |= {"effect": each.effect.key, "best": best | {"effect": each.best.effect.key}}
-            tensors |= {f"{number}.{name}": torch.from_numpy(getattr(each.columns, name)) for name in ("g", "d")}
-        rows.append(row)
-    # with Python's own numbers
-    return tensors, {"screened": json.loads(json.dumps(rows, default=lambda value: value.item()))}
-
-
-def _from_numbers(effects: Sequence[Effect], path: Tensor, tensors: Tensors, state: dict[str, Any]) -> list[Screened]:
-    by_key = {effect.key: effect for effect in effects}
-    screened: list[Screened] = []
-    for number, row in enumerate(state["screened"]):
-        if "effect" not in row:
-            screened.append(Screened(None, best=None, columns=None, path=path, **row))
-            continue
-        best: dict[str, Any] = row.pop("best")
-        best = {name: tuple(value) if isinstance(value, list) else value for name, value in best.items()}
-        effect, best["effect"] = by_key[row.pop("effect")], by_key[best["effect"]]
-        columns = Columns(*(tensors[f"{number}.{name}"].numpy() for name in ("g", "d")))
-        screened.append(Added(effect, best=Hypothesis(**best), columns=columns, path=path, **row))
-    return screened
 
 
 def screen_in_halves(

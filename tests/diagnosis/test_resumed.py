@@ -3,13 +3,14 @@
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pendulum import DAMPING, PENDULUM, recorded
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.kept_units import content_digest, kept
+from invdyn.diagnosis.kept_units import content_digest, kept_unit
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects import EFFECTS
@@ -154,35 +155,27 @@ def test_another_diagnosis_is_refused(tmp_path, killed_after):
 # -- units --------------------------------------------------------------------------------------------------
 
 
-class Spending:
-    """A budget without limits."""
-
-    def __init__(self):
-        self.done, self.missed = 1.5, frozenset({"payload"})
-
-
 def test_a_unit_leaves_its_work_and_its_failure(tmp_path):
-    folder, calls = Checkpoint(tmp_path), []
+    calls = []
 
-    def unit(budget, fails):
-        def compute():
-            calls.append(fails)
-            budget.done += 0.1
-            budget.missed |= {"armature"}
-            if fails:
-                raise Diverged("no path")
-            return 7.0
-
-        return kept(folder, budget, "unit", [fails], compute, lambda x: ({}, {"x": x}), lambda _, state: state["x"])
+    @kept_unit("unit")
+    def unit(problem, fails):
+        calls.append(fails)
+        problem.budget.done += 0.1
+        problem.budget.missed |= {"armature"}
+        if fails:
+            raise Diverged("no path")
+        return 7.0
 
     for fails in (False, True):
         for _ in range(2):
-            budget = Spending()
+            budget = SimpleNamespace(done=1.5, missed=frozenset({"payload"}))
+            problem = SimpleNamespace(checkpoint=Checkpoint(tmp_path), budget=budget, content="", model=None)
             if fails:
                 with pytest.raises(Diverged, match="no path"):
-                    unit(budget, fails)
+                    unit(problem, fails)
             else:
-                assert unit(budget, fails) == 7.0
+                assert unit(problem, fails) == 7.0
             assert budget.done == 1.5 + 0.1
             assert budget.missed == {"payload", "armature"}
     assert calls == [False, True]
