@@ -72,7 +72,7 @@ Outputs = Annotated[
         metavar="FILE",
         help="What to write, by its ending; repeatable: .nc (the posterior, ArviZ), .png, .pdf or .svg "
         "(figure), .gif or .mp4 (film of the arm), .csv (curves with 90 % bands), functionals.csv (peaks, "
-        "impulses, work), .sto (torques for OpenSim), .mot (angles for OpenSim).",
+        "impulses, work), .sto (torques for OpenSim), .nwb (torques and keypoints), .mot (angles for OpenSim).",
     ),
 ]
 FolderOut = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder for all of it; made if missing.")]

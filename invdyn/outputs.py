@@ -1,4 +1,4 @@
-"""What a command leaves: the posterior, its figure and film, torques (.sto, .csv), motion (.mot); a comparison."""
+"""What a command leaves: posterior, figure, film, torques (.sto, .nwb, .csv), motion (.mot); a comparison."""
 
 import json
 from collections.abc import Callable, Container, Hashable, Iterable
@@ -10,7 +10,18 @@ import arviz as az
 import numpy as np
 
 from invdyn.inference import Comparison, functional_table, save_posterior
-from invdyn.recordings import InputError, new_folder, whole_set, write_moments, write_motion, write_table, write_text
+from invdyn.recordings import (
+    InputError,
+    Recording,
+    check_nwb,
+    new_folder,
+    whole_set,
+    write_moments,
+    write_motion,
+    write_nwb,
+    write_table,
+    write_text,
+)
 from invdyn.recordings.reading import TrackedFilm
 
 from .console import check_ending, check_outputs
@@ -27,6 +38,7 @@ KINDS = {
     "figure": FIGURE_SUFFIXES,
     "film": FILM_SUFFIXES,
     "OpenSim": (".sto",),
+    "NWB": (".nwb",),
     "motion": (".mot",),
     "functionals": ("functionals.csv",),
     "CSV": (".csv",),
@@ -71,6 +83,8 @@ class OutputFiles:
             self._check_torques(())
         for path in self.of("film"):
             check_film(path)
+        for path in self.of("NWB"):
+            check_nwb(path)
 
     def write(
         self,
@@ -93,10 +107,14 @@ class OutputFiles:
                 write_table(curves(idata), path)
             for path in self.of("functionals"):
                 write_text(path, functional_table(idata).to_csv(index=False, lineterminator="\n"))
-            for path in self.of("OpenSim"):
+            if "torque" in idata["posterior"]:
                 low, _, median, _, high = quantiles(idata, "torque")
                 shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
-                write_moments(path, time, median, low, high, joints, shifting)
+                moments = time, median, low, high, joints, shifting
+                for path in self.of("OpenSim"):
+                    write_moments(path, *moments)
+                for path in self.of("NWB"):
+                    write_nwb(path, {"behavior": moments}, {"behavior": seen(idata)})
             for path in self.of("motion"):
                 write_motion(path, time, quantiles(idata, "angle")[2], joints)
             for path in self.of("figure"):
@@ -105,9 +123,8 @@ class OutputFiles:
                 save_film(idata, path, progress, None if tracked is None else Overlay.of(tracked, idata))
 
     def _check_torques(self, known: Container[Hashable]) -> None:
-        if "torque" not in known and (paths := self.of("OpenSim") + self.of("functionals")):
-            what = "for OpenSim" if self.of("OpenSim") else "functionals of"
-            raise InputError(f"{paths[0]}: a kinematic posterior has no torques to write {what}; leave it out")
+        if "torque" not in known and (paths := self.of("OpenSim") + self.of("NWB") + self.of("functionals")):
+            raise InputError(f"{paths[0]}: a kinematic posterior has no torques to write; leave it out")
 
     def listing(self) -> str:
         """What lies where: an empty line, then one each."""
@@ -176,6 +193,18 @@ def check_folder(folder: Path, outputs: Iterable[Path], inputs: Iterable[Path]) 
         raise InputError(f"{folder}: expected a folder, this is a file")
     else:
         check_outputs(outputs, inputs)
+
+
+def seen(idata: az.InferenceData) -> Recording:
+    """The keypoints that an inference was given; of a posterior without any, its mean ones."""
+    given = "position" in idata["observed_data"]
+    points = idata["observed_data"]["position"] if given else idata["posterior"]["position"].mean(("chain", "draw"))
+    return Recording(
+        idata["posterior"]["time"].values,
+        points.transpose("time", "keypoint", "space").values,
+        tuple(str(name) for name in points["keypoint"].values),
+        length_unit=str(idata["posterior"]["position"].attrs["units"]),
+    )
 
 
 def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:

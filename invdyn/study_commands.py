@@ -31,13 +31,14 @@ def trials(
     given: ManyTrials,
     out: FolderOut,
     method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "laplace",
+    nwb: Annotated[bool, typer.Option("--nwb", help="Write torques and keypoints of each session as NWB too.")] = False,
 ) -> None:
     """Infer many trials, sharing within sessions.
 
     One table, averages at events, differences between conditions. Trials that do not fit are named and left out.
     """
     from invdyn.inference.study.run import run_study
-    from invdyn.recordings import InputError
+    from invdyn.recordings import InputError, check_nwb
 
     from .outputs import check_folder
 
@@ -46,11 +47,13 @@ def trials(
     rows = read_rows(given)
     given.check(method)
     check_folder(out, [out / "trials.csv"], [Path(given.recording)])
+    if nwb:
+        check_nwb(out)
     with ProgressBar() as progress:
         read = read_trials(rows, given, None, progress)
     with open_workers(given.workers) as executor, ProgressBar() as progress:
         study = run_study(read, how(given, method), executor=executor, checkpoint=given.checkpoint, progress=progress)
-    study.save(out)
+    study.save(out, nwb=nwb)
     say(study_text(study))
     say(f"\nstudy      {out}")
 

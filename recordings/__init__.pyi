@@ -11,6 +11,8 @@ from .forces import SiteForce as SiteForce
 from .forces import read_forces as read_forces
 from .formats.keypoint_csv import read_keypoint_csv as read_keypoint_csv
 from .formats.keypoint_csv import write_keypoint_csv as write_keypoint_csv
+from .formats.nwb_torques import check_nwb as check_nwb
+from .formats.nwb_torques import write_nwb as write_nwb
 from .formats.opensim import read_sto as read_sto
 from .formats.opensim import read_trc as read_trc
 from .formats.opensim import write_moments as write_moments

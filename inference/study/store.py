@@ -12,6 +12,7 @@
                                                 time [trial, row] s; NaN after a trial's last row; event_<name>
                                                 [trial], s by its clock
     sto/<trial>.sto                             torques of each trial with their 90 % band, for OpenSim
+    nwb/<subject>_<session>.nwb                 the same of a session, and its keypoints, where that is asked for
 
 In names of files, letters, digits, - and . stay; all else becomes _. All files appear together
 (:func:`invdyn.recordings.whole_set`).
@@ -30,18 +31,29 @@ import xarray as xr
 
 from invdyn.inference.study.figure import plot_averages
 from invdyn.inference.study.work import CURVES, said
-from invdyn.recordings import InputError, atomic_path, new_folder, whole_set, write_moments, write_text
+from invdyn.recordings import (
+    InputError,
+    atomic_path,
+    check_nwb,
+    new_folder,
+    whole_set,
+    write_moments,
+    write_nwb,
+    write_text,
+)
 
 FILES = "files.txt"
 LONGEST = 100
 """Characters of a name as a part of a file's."""
 
 
-def save_study(study: Any, folder: Path) -> list[Path]:
+def save_study(study: Any, folder: Path, nwb: bool = False) -> list[Path]:
     """Write all of a :class:`.study.Study` and return the files.
 
-    Raises InputError where no trial is left, OSError as it comes.
+    Raises InputError where no trial is left or, for NWB, its libraries are missing; OSError as it comes.
     """
+    if nwb:
+        check_nwb(folder)
     if not study.posteriors:
         first = next(iter(study.reasons["reason"]), "")
         raise InputError(f"no trial of {len(study.trials)} is left; the first one: {first}")
@@ -67,12 +79,18 @@ def save_study(study: Any, folder: Path) -> list[Path]:
             with atomic_path(place("posteriors", f"{name}.nc")) as temporary:
                 data.to_netcdf(str(temporary), engine="h5netcdf", encoding=packed)
         names = _unlike(study.trials[i].name for i in study.posteriors)
-        for name, part in zip(names, study.posteriors.values(), strict=True):
+        moments = {}
+        for name, (index, part) in zip(names, study.posteriors.items(), strict=True):
             known, torque = said(part), part["torque"].numpy().astype(float)
             low, middle, high = np.quantile(torque, (0.05, 0.5, 0.95), axis=0)
             shifting = {joint for joint, turns in zip(known["joints"], known["turns"], strict=True) if not turns}
-            moments = part["time"].numpy(), middle, low, high, known["joints"], shifting
-            write_moments(place("sto", f"{name}.sto"), *moments)
+            moments[index] = name, (part["time"].numpy(), middle, low, high, known["joints"], shifting)
+            write_moments(place("sto", f"{name}.sto"), *moments[index][1])
+        for name, members in _sessions(study).items() if nwb else ():
+            own = {moments[i][0]: (moments[i][1], study.trials[i].recording) for i in members}
+            (folder / "nwb").mkdir(exist_ok=True)
+            torques, recordings = ({each: both[k] for each, both in own.items()} for k in (0, 1))
+            write_nwb(place("nwb", f"{name}.nwb"), torques, recordings)
         write_text(folder / FILES, "".join(f"{file.relative_to(folder).as_posix()}\n" for file in files))
     return [*files, folder / FILES]
 

@@ -153,11 +153,14 @@ class Study:
 
         return plot_averages(self.averages(align, factor), align, factor)
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write tables, posteriors, averages and figures into a folder (:mod:`.store`); returns the files."""
+    def save(self, folder: str | Path, *, nwb: bool = False) -> list[Path]:
+        """Write tables, posteriors, averages and figures into a folder (:mod:`.store`); returns the files.
+
+        ``nwb`` adds a file of NWB for each session, and needs the extra `tracks`.
+        """
         from invdyn.inference.study.store import save_study
 
-        return save_study(self, Path(folder))
+        return save_study(self, Path(folder), nwb)
 
     def _check(self, factor: str) -> None:
         known = sorted({name for trial in self.trials for name in trial.factors})

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,7 +22,7 @@ from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import NOT_SETTLED, fit_trial, infer_trial, parameters_of, said, share_session, words
 from invdyn.inputs import load_body
 from invdyn.models import SmoothAndRough
-from invdyn.recordings import InputError, read_sto
+from invdyn.recordings import InputError, load, read_sto
 from invdyn.simulate import random_arm, record
 from invdyn.study_commands import study_text
 from invdyn.view import view_of
@@ -217,7 +218,7 @@ def test_another_study_s_checkpoint_is_refused(trials, tmp_path):
 
 
 def test_what_is_saved_is_read_again(study, tmp_path):
-    files = study.save(tmp_path / "out")
+    files = study.save(tmp_path / "out", nwb=True)
     assert all(file.exists() for file in files)
     names = {file.relative_to(tmp_path / "out").as_posix() for file in files}
     assert {"trials.csv", "left_out.csv", "differences.csv", "averages_touch.png", "posteriors/a_1.nc"} <= names
@@ -227,6 +228,17 @@ def test_what_is_saved_is_read_again(study, tmp_path):
         assert data["torque"].sel(trial="t1").values == pytest.approx(study.posteriors[1]["torque"].numpy())
     columns = read_sto(tmp_path / "out" / "sto" / "t3.sto")
     assert {"elbow_moment", "elbow_q95"} <= columns.keys()
+    first = tmp_path / "out" / "nwb" / "a_1.nwb"
+    with h5py.File(first) as store:
+        series = store["processing/t1/elbow_torque_q95/data"]
+        upper = np.quantile(study.posteriors[1]["torque"].double().numpy()[:, :, 1], 0.95, axis=0)
+        assert series[()] == pytest.approx(upper, rel=1e-9)
+        assert series.attrs["unit"] == "N·m"
+    pose = load(first, units="m", individual="t1_pose")
+    given = study.trials[1].recording
+    order = [pose.keypoint_names.index(name) for name in given.keypoint_names]
+    np.testing.assert_array_equal(pose.keypoints[:, order], given.keypoints)
+    np.testing.assert_array_equal(pose.time, study.trials[1].recording.time)
 
 
 def test_bands_hold_what_lies_within_trials_and_between_them(study):

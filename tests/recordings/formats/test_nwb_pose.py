@@ -4,7 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from invdyn.recordings import InputError, load
+from invdyn.outputs import OutputFiles
+from invdyn.recordings import InputError, Recording, load, write_nwb
 
 POINTS = ("shoulder", "elbow", "wrist")
 TRACKS = np.random.default_rng(4).uniform(10, 90, (6, 3, 2))
@@ -104,3 +105,36 @@ def test_no_pose_and_no_size_that_a_file_only_claims(tmp_path):
 
     with pytest.raises(InputError, match=r"expected at most|declare"):
         load(write(tmp_path / "rec.nwb", damage=huge), units="px")
+
+
+@pytest.mark.long
+def test_torques_are_next_to_their_pose_as_pynwb_reads_them(tmp_path):
+    pynwb = pytest.importorskip("pynwb")
+    torque = np.random.default_rng(0).normal(size=(6, 2))
+    moments = STAMPS, torque, torque - 1, torque + 1, ("elbow", "rail"), {"rail"}
+    given = Recording(STAMPS, np.where(TRACKS > 80, np.nan, TRACKS) / 100, POINTS)
+    write_nwb(tmp_path / "out.nwb", {"arm": moments}, {"arm": given})
+    assert pynwb.validate(path=tmp_path / "out.nwb") == []
+    with pynwb.NWBHDF5IO(str(tmp_path / "out.nwb"), "r") as store:
+        module = store.read().processing["arm"]
+        found = {
+            name: (each.data[()], each.unit, each.timestamps[()])
+            for name, each in module.data_interfaces.items()
+            if "torque" in name
+        }
+    assert len(found) == 6
+    for k, (joint, unit) in enumerate((("elbow", "N·m"), ("rail", "N"))):
+        for suffix, column in zip(("", "_q05", "_q95"), moments[1:4], strict=True):
+            values, stated, times = found[f"{joint}_torque{suffix}"]
+            np.testing.assert_array_equal(values, column[:, k])
+            np.testing.assert_array_equal(times, STAMPS)
+            assert stated == unit
+    pose = load(tmp_path / "out.nwb", units="m")
+    order = [pose.keypoint_names.index(name) for name in POINTS]  # by name, as nothing says their order
+    np.testing.assert_array_equal(pose.keypoints[:, order], given.keypoints)
+
+
+def test_nwb_is_refused_before_the_work_without_its_library(tmp_path, monkeypatch):
+    monkeypatch.setattr("invdyn.recordings.formats.nwb_torques.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"\.nwb needs `pip install 'invdyn\[tracks\]'`"):
+        OutputFiles((tmp_path / "p.nc", tmp_path / "t.nwb")).check()
