@@ -36,7 +36,7 @@ from invdyn.inference.posterior.body_doubt import (
     joint_weights,
 )
 from invdyn.models import ArmModel, dynamics_for
-from invdyn.models.effects.gravity_tilt import GravityTilt
+from invdyn.models.effects.disturbances import GravityTilt
 from invdyn.models.effects.inertias import size_of
 
 NOISE, APART, STEP = 0.2, 0.5, 1e-3

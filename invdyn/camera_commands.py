@@ -1,6 +1,5 @@
 """The commands of films of several cameras: `invdyn calibrate` and `invdyn triangulate`."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,13 +7,7 @@ import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
 from .options import Calibration, FileFormat, FrameRate, Individual, Offset
-from .settings import Setting, with_settings
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the commands."""
-    for each in (calibrate, triangulate):
-        command()(with_settings(each))
+from .settings import Setting
 
 
 def calibrate(

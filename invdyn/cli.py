@@ -10,22 +10,19 @@ from typing import Annotated, Any
 
 import typer
 
-from . import (
-    blind_commands,
-    camera_commands,
-    excite_commands,
-    film_commands,
-    live_commands,
-    model_commands,
-    robot_commands,
-    study_commands,
-)
+from .blind_commands import blind
+from .camera_commands import calibrate, triangulate
 from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
+from .excite_commands import excite
+from .film_commands import label, track, train
 from .inference_options import Inference, kinematic_arguments, open_workers
-from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
-from .recipes import Recipe
+from .live_commands import live
+from .model_commands import compare_model
+from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Recipe, Replicates, Seed
+from .robot_commands import check
 from .settings import GroupedCommand, Setting, with_settings
+from .study_commands import trials
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
 
@@ -354,7 +351,7 @@ def view(
 
     from invdyn.recordings import whole_set, write_text
 
-    from .rerun_file import write_rerun
+    from .page import write_rerun
     from .view import view_of
 
     check_outputs([out, rerun], [file])
@@ -402,14 +399,5 @@ def demo(out: FolderOut = Path("demo"), seed: Seed = 0) -> None:
     )
 
 
-for commands in (
-    study_commands,
-    robot_commands,
-    live_commands,
-    excite_commands,
-    film_commands,
-    camera_commands,
-    model_commands,
-    blind_commands,
-):
-    commands.register(command)
+for each in (trials, check, live, excite, label, train, track, calibrate, triangulate, compare_model, blind):
+    command()(with_settings(each))

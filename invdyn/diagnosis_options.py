@@ -202,7 +202,7 @@ class Diagnosed(Recorded):
     def _joined(self, log: Any, film: Any, body: Any) -> Any:
         """A log with the film of it, on the log's clock; says by how much the film's was found to be ahead."""
         from invdyn.diagnosis.problem.clocks import camera_clock
-        from invdyn.recordings.merge_log_and_camera import merge_log_and_camera
+        from invdyn.recordings.joined import merge_log_and_camera
 
         if self.clock is not None:
             return merge_log_and_camera(log, film, self.clock)

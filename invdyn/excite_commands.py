@@ -1,21 +1,15 @@
 """The command of motions to record next: `invdyn excite`."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
 from .options import Seed
-from .settings import Setting, with_settings
+from .settings import Setting
 
 ENDINGS = (".csv", ".yaml", ".parquet", ".json", ".png", ".pdf", ".svg")
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the command."""
-    command()(with_settings(excite))
 
 
 def excite(

@@ -8,16 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
-from .options import Checkpoint, Individual, Person, Seed, Tracker, TracksOut
-from .settings import with_settings
+from .options import Checkpoint, Individual, Person, Seed, Tracker
 
 FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the commands."""
-    for each in (label, train, track):
-        command()(with_settings(each))
 
 
 def label(
@@ -183,7 +176,11 @@ def _quality(trained: Any) -> str:
 
 
 def track(
-    film: FilmFile, out: TracksOut, tracker: Tracker = None, person: Person = None, checkpoint: Checkpoint = None
+    film: FilmFile,
+    out: Annotated[Path, typer.Option("--out", help="The tracks, in px: .csv.")],
+    tracker: Tracker = None,
+    person: Person = None,
+    checkpoint: Checkpoint = None,
 ) -> None:
     """Track the joints in a film.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import MAX_WORKERS, Device, Draws, Filters, FiltersPerTask, Particles, Seed, Workers
+from .options import MAX_WORKERS, Device, Filters, Particles, Seed, Workers
 from .recording_options import Recorded
 from .settings import Setting, yes
 
@@ -57,11 +57,13 @@ class Inference(Recorded):
     ] = None
     filters: Filters = 64
     particles: Particles = 100
-    draws: Draws = 4
+    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each filter.")] = 4
     seed: Seed = 0
     workers: Workers = None
     device: Device = "cpu"
-    filters_per_task: FiltersPerTask = None
+    filters_per_task: Annotated[
+        int | None, Setting("filters that a worker takes at a time; default: 32", int, least=1)
+    ] = None
     exact_body: Annotated[bool, Setting("yes: the numbers of a robot's file are exact; default: no", yes)] = False
 
     def check(self, *methods: str) -> None:

@@ -13,17 +13,12 @@ import typer
 
 from .console import ProgressBar, print_line
 from .options import BodyFile, FrameRate
-from .settings import Setting, with_settings
+from .settings import Setting
 
 PACKET = 65536
 """Bytes of a UDP packet at most."""
 NAMED = 5
 """Rows that cannot be used which are named; all are counted."""
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the command."""
-    command()(with_settings(live))
 
 
 def live(

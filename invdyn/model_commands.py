@@ -1,23 +1,16 @@
 """The command of models of one's own: `invdyn compare model.py:Model rows.csv`."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .options import Checkpoint, Device, FolderOut, Isolate, Methods, Replicates, Seed, Workers
-from .settings import with_settings
 
 if TYPE_CHECKING:
     import numpy as np
 
     from invdyn.models import StateSpaceModel
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the command."""
-    command(name="compare-model")(with_settings(compare_model))
 
 
 def compare_model(

@@ -1,7 +1,12 @@
-"""Options that commands share, each declared once."""
+"""Options that commands share, each declared once.
+
+Recipes of `invdyn infer`: options that one kind of recording needs; `docs/how-to/recipes.md` says why.
+
+What is given on the command line takes precedence. A recipe says nothing that a recording or a body's file has to say.
+"""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,20 +19,6 @@ BodyFile = Annotated[
     str,
     typer.Option("--body", metavar="FILE", help="Body: .toml, .xml (MJCF), .urdf, .osim, or the name of one of ours."),
 ]
-PersonOrBody = Annotated[
-    str | None,
-    typer.Option(
-        "--body",
-        metavar="FILE",
-        help="Body: .toml, .xml (MJCF), .urdf, .osim, or the name of one of ours. Of a person, --height, --mass and "
-        "--sex instead.",
-    ),
-]
-Height = Annotated[float | None, typer.Option(help="Of a person, m; with --mass and --sex, in place of --body.")]
-Mass = Annotated[float | None, typer.Option(help="Of a person, kg.")]
-Sex = Annotated[str | None, typer.Option(help="Of a person: f or m.")]
-Payload = Annotated[float, Setting("what a person's limb carries, kg", float, least=0)]
-Limb = Annotated[str, Setting("limb of a person: arm, arm_and_hand or leg; default: arm")]
 Units = Annotated[str | None, typer.Option(help="Units of the file: px, mm, cm, m; deg, rad; s, ms, us …, frames.")]
 FrameRate = Annotated[float | None, typer.Option("--fps", help="Frames a second, if the file has no times.")]
 Frames = Annotated[str, typer.Option(help="Rows to use of the first recording, such as 50:250.")]
@@ -51,7 +42,6 @@ Isolate = Annotated[
 ]
 Filters = Annotated[int, typer.Option(min=1, help="Independent filters.")]
 Particles = Annotated[int, typer.Option(min=1, help="Particles of each filter.")]
-Draws = Annotated[int, typer.Option(min=1, help="Trajectories drawn from each filter.")]
 Workers = Annotated[
     str | None, typer.Option(help="Processes that share the filters; or a Dask scheduler (tcp://host:8786), or mpi.")
 ]
@@ -76,7 +66,6 @@ Outputs = Annotated[
     ),
 ]
 FolderOut = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder for all of it; made if missing.")]
-TracksOut = Annotated[Path, typer.Option("--out", help="The tracks, in px: .csv.")]
 
 Person = Annotated[
     str | None, Setting("which of several people in a film: left, right, largest, or a box u,v,width,height, px")
@@ -84,4 +73,31 @@ Person = Annotated[
 Individual = Annotated[str | None, Setting("which animal, in a file of several")]
 FileFormat = Annotated[str | None, Setting("format of the file, if its name does not say")]
 Device = Annotated[str, Setting("where particle filters compute: cpu or cuda")]
-FiltersPerTask = Annotated[int | None, Setting("filters that a worker takes at a time; default: 32", int, least=1)]
+
+
+RECIPES: dict[str, dict[str, Any]] = {
+    "mouse": {"kinematic": True, "learn": ["lengths"], "noise": "student_t"},
+    "reach": {"noise": "student_t"},
+}
+"""Name -> option, by its name in `infer` -> value."""
+
+
+def follow(context: typer.Context, name: str | None) -> str | None:
+    """Make a recipe's values the defaults of this call. Raises InputError for a name that is not known."""
+    if name is not None:
+        if name not in RECIPES:
+            from invdyn.recordings import InputError
+
+            raise InputError(f"--recipe: expected one of {', '.join(RECIPES)}, got {name!r:.40}")
+        context.default_map = RECIPES[name]
+    return name
+
+
+Recipe = Annotated[
+    str | None,
+    typer.Option(
+        callback=follow,
+        is_eager=True,
+        help=f"Options for one kind of recording: {', '.join(RECIPES)}. Options that you give take precedence.",
+    ),
+]

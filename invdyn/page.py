@@ -1,7 +1,11 @@
 """A page of curves, and of a body that moves with them: one file that opens anywhere, without a server or a network.
 
 Curves are drawn by uPlot 1.6.32 (Leon Sorokin, MIT), which the page holds; its own script is `view_page/view.js`. As a
-report, it carries the digest of the one script that may run, and escapes all that it is given.
+report, it carries the digest of the one script that may run, and escapes all that it is given. Its content may also be
+a recording of the viewer Rerun (rerun.io), .rrd:
+
+body/<arm>, body/draws, body/seen        lines and points, in the recording's unit of length; a plane has z = 0
+<group>/<joint>/<side>/middle, low, high  scalars, as on the page, whose rows these are
 """
 
 import math
@@ -16,6 +20,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.report.report import TEMPLATES, digest, environment
+from invdyn.recordings import InputError, atomic_path
 
 from .plots import usual_range
 
@@ -165,3 +170,33 @@ def rounded(values: np.ndarray, span: tuple[float, float]) -> Any:
     lists = np.round(np.asarray(values, float), digits).astype(object)
     lists[~np.isfinite(values)] = None
     return lists.tolist()
+
+
+def write_rerun(view: View, out: Path) -> None:
+    """Write it, whole or not at all. Raises InputError without the library, OSError where it cannot be written."""
+    try:
+        import rerun
+    except ImportError:
+        raise InputError(f"{out}: .rrd needs `pip install 'invdyn[rerun]'`; the page works without") from None
+    flat = 3 - (view.observed.shape[-1] if view.arms else 3)
+    body = [(["body", name], points) for (name, _), points in view.arms.items()]
+    body += [(["body", "draws", str(number)], points) for number, points in enumerate(view.draws if view.arms else ())]
+    with atomic_path(out) as temporary:
+        recording = rerun.RecordingStream("invdyn")
+        recording.save(str(temporary))
+        for row, time in enumerate(view.time):
+            recording.set_time("time", duration=float(time))
+            for name, points in body:
+                placed = np.pad(points[row], ((0, 0), (0, flat)))
+                strips = [placed[line] for line in view.lines if np.isfinite(placed[line]).all()]
+                recording.log(name, rerun.LineStrips3D(strips))
+            if view.arms:
+                seen = view.observed[row][np.isfinite(view.observed[row]).all(-1)]
+                recording.log(["body", "seen"], rerun.Points3D(np.pad(seen, ((0, 0), (0, flat)))))
+            for panel in view.panels:
+                for side in panel["sides"]:
+                    place = [panel["group"], panel["joint"], side["name"]]
+                    for curve in ("middle", "low", "high"):
+                        if (value := side[curve][row]) is not None:
+                            recording.log([*place, curve], rerun.Scalars(value))
+        recording.disconnect()

@@ -12,16 +12,10 @@ from .options import (
     FileFormat,
     FrameRate,
     Frames,
-    Height,
     Individual,
-    Limb,
     Mapping,
-    Mass,
     Offset,
-    Payload,
     Person,
-    PersonOrBody,
-    Sex,
     Tracker,
     Units,
     ZeroTorque,
@@ -29,16 +23,7 @@ from .options import (
 from .settings import Setting
 
 READING = (
-    "units",
-    "fps",
-    "format",
-    "base",
-    "individual",
-    "plane",
-    "calibration",
-    "offset",
-    "tracker",
-    "person",
+    *("units", "fps", "format", "base", "individual", "plane", "calibration", "offset", "tracker", "person"),
     "mapping",
 )
 """Options of how to read files, under the names that readers have."""
@@ -56,10 +41,20 @@ class Recorded:
             "with --calibration one file of pixels for each camera.",
         ),
     ]
-    body: PersonOrBody = None
-    height: Height = None
-    mass: Mass = None
-    sex: Sex = None
+    body: Annotated[
+        str | None,
+        typer.Option(
+            "--body",
+            metavar="FILE",
+            help="Body: .toml, .xml (MJCF), .urdf, .osim, or the name of one of ours. Of a person, "
+            "--height, --mass and --sex instead.",
+        ),
+    ] = None
+    height: Annotated[float | None, typer.Option(help="Of a person, m; with --mass and --sex, in place of --body.")] = (
+        None
+    )
+    mass: Annotated[float | None, typer.Option(help="Of a person, kg.")] = None
+    sex: Annotated[str | None, typer.Option(help="Of a person: f or m.")] = None
     units: Units = None
     fps: FrameRate = None
     scale: Annotated[
@@ -81,8 +76,8 @@ class Recorded:
     format: FileFormat = None
     individual: Individual = None
     person: Person = None
-    limb: Limb = "arm"
-    payload: Payload = 0.0
+    limb: Annotated[str, Setting("limb of a person: arm, arm_and_hand or leg; default: arm")] = "arm"
+    payload: Annotated[float, Setting("what a person's limb carries, kg", float, least=0)] = 0.0
     plane: Annotated[
         str | None, Setting("axes of a file in space that point right and up, such as xz; default: the two that change")
     ] = None

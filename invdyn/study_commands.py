@@ -9,7 +9,6 @@ import typer
 from .console import ProgressBar, say
 from .inference_options import Inference, open_workers
 from .options import FolderOut
-from .settings import with_settings
 from .study_table import ManyTrials, checked, read_rows, read_trials
 
 if TYPE_CHECKING:
@@ -20,11 +19,6 @@ if TYPE_CHECKING:
 
 MAX_LINES = 20
 """Of trials that are left out, and of those in doubt, that are printed."""
-
-
-def register(command: Callable[..., Any]) -> None:
-    """Add the command."""
-    command()(with_settings(trials))
 
 
 def trials(

@@ -29,6 +29,7 @@ from .kinematic import KinematicModel as KinematicModel
 from .linear_gaussian import LinearGaussian as LinearGaussian
 from .observation.encoders import Encoders as Encoders
 from .observation.keypoints import Keypoints as Keypoints
+from .observation.missing import RowDistribution as RowDistribution
 from .observation.missing import observe as observe
 from .observation.missing import observed_log_prob as observed_log_prob
 from .observation.multivariate_t import MultivariateT as MultivariateT
@@ -36,7 +37,6 @@ from .observation.observation import FAMILIES as FAMILIES
 from .observation.observation import Observation as Observation
 from .observation.pinhole import PinholeCameras as PinholeCameras
 from .observation.pixels import Pixels as Pixels
-from .observation.row_distribution import RowDistribution as RowDistribution
 from .observation.sensor import NoisySensor as NoisySensor
 from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel

@@ -3,7 +3,6 @@ from .atomic import check_writable as check_writable
 from .atomic import new_folder as new_folder
 from .atomic import whole_set as whole_set
 from .atomic import write_text as write_text
-from .catalogue import demo_frames as demo_frames
 from .catalogue import load_truth as load_truth
 from .catalogue import names as names
 from .errors import InputError as InputError

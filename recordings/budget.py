@@ -1,11 +1,12 @@
-"""The budget of a file that is read: how much of :class:`.limits.Limits` is left."""
+"""The budget of a file that is read, how much of :class:`.limits.Limits` is left; texts and TOML within it."""
 
 import shutil
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from .errors import InputError
+from .errors import InputError, first_line
 from .limits import LIMITS
 from .paths import check_readable
 
@@ -78,3 +79,19 @@ class Budget:
             if room < 0:
                 raise InputError(f"{what} unpacks to more than half of the free space in {folder}")
             target.write(piece)
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Tables of a file that should be ``what``, such as "a calibration".
+
+    Raises InputError for what is no TOML or too long for one, OSError for a file that cannot be opened.
+    """
+    content = read_document(path)
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: expected {what} in TOML ({first_line(error)})") from None
+    except RecursionError:
+        raise InputError(f"{path}: expected {what}, got TOML nested too deep for one") from None
+    except ValueError:  # Python turns no more than 4,300 digits into an integer
+        raise InputError(f"{path}: expected {what}, got TOML with an integer too long to be read") from None

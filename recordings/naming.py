@@ -1,7 +1,9 @@
-"""Suggestions for misspelt names: case, spaces, hyphens and underscores count least."""
+"""Names: suggestions for misspelt ones, where case, spaces and hyphens count least; and one animal of several."""
 
 import difflib
 from collections.abc import Iterable
+
+from .errors import InputError
 
 
 def same_letters(name: str, known: Iterable[str]) -> str | None:
@@ -23,3 +25,13 @@ def closest(name: str, known: Iterable[str]) -> str:
 
 def _letters(name: str) -> str:
     return "".join(letter for letter in name.casefold() if letter not in " _-\t")
+
+
+def choose_individual(names: list[str], individual: str | None) -> str:
+    """The only name, or the chosen one; InputError when there are several, or the chosen one is not there."""
+    if individual in names:
+        return individual
+    if individual is not None or len(names) != 1:
+        problem = "several animals" if individual is None else f"no animal {individual!r}"
+        raise InputError(f"{problem}: choose one of {', '.join(names)} (--set individual=NAME)")
+    return names[0]

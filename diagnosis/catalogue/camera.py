@@ -1,8 +1,14 @@
 """What a camera makes of the picture, and when."""
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Variant
-from invdyn.models.effects.camera import CameraRoll, CameraScale, CameraYaw, LensDistortion, RollingShutter
-from invdyn.models.effects.camera_latency import CameraLatency
+from invdyn.models.effects.camera import (
+    CameraLatency,
+    CameraRoll,
+    CameraScale,
+    CameraYaw,
+    LensDistortion,
+    RollingShutter,
+)
 
 CENTRE = (
     Variant(

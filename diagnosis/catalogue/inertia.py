@@ -5,7 +5,7 @@ import torch
 from invdyn.diagnosis.catalogue import period_equivalents
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers
 from invdyn.models.effects.base import Effect, Scale
-from invdyn.models.effects.gravity_tilt import GravityTilt
+from invdyn.models.effects.disturbances import GravityTilt
 from invdyn.models.effects.inertia import Armature, InertialError, Payload
 from invdyn.models.effects.inertias import inertia_of, point_of
 

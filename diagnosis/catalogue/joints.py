@@ -10,8 +10,7 @@ from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import STOPS, Effect, Scale, Values
-from invdyn.models.effects.joint_limit import JointLimit
-from invdyn.models.effects.joints import JointCoupling, JointStiffness, TorqueRipple
+from invdyn.models.effects.joints import JointCoupling, JointLimit, JointStiffness, TorqueRipple
 from invdyn.models.effects.link_flexibility import HALF, LinkFlexibility
 
 Shown = dict[str, tuple[Tensor, str]]

@@ -1,8 +1,7 @@
 """What motors make of a command."""
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
-from invdyn.models.effects.actuator_gain import ActuatorGain
-from invdyn.models.effects.motors import ActuatorDeadzone, ActuatorDelay, ActuatorLag, ActuatorSaturation
+from invdyn.models.effects.motors import ActuatorDeadzone, ActuatorDelay, ActuatorGain, ActuatorLag, ActuatorSaturation
 
 ENTRIES = (
     CatalogueEntry(

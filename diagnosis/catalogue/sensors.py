@@ -6,10 +6,16 @@ from invdyn.diagnosis.catalogue import period_equivalents
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.base import Effect, Scale
-from invdyn.models.effects.encoder_offset import EncoderOffset
-from invdyn.models.effects.sensors import ClockRate, KeypointOffset, LabelSwap, Outliers, TimestampJitter
+from invdyn.models.effects.sensors import (
+    ClockRate,
+    EncoderOffset,
+    KeypointOffset,
+    LabelSwap,
+    Outliers,
+    TimestampJitter,
+    VaryingNoise,
+)
 from invdyn.models.effects.soft_tissue import DAMPING_RATIOS, SoftTissue
-from invdyn.models.effects.varying_noise import VaryingNoise
 
 
 def bends(mine: Effect, link: Effect, values: Numbers, scale: Scale) -> list[Numbers]:

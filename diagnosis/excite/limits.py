@@ -28,7 +28,7 @@ from invdyn.models import Body
 from invdyn.models.bodies.body_xml import is_xml
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts
 from invdyn.recordings import InputError
-from invdyn.recordings.toml_tables import read_toml
+from invdyn.recordings.budget import read_toml
 
 QUANTITIES = ("position", "speed", "acceleration", "torque")
 

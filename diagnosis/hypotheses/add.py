@@ -163,7 +163,7 @@ def _search_values(found: HypothesisPool, base: FittedHypothesis, least: float) 
     problem = found.problem
     known, behind = others(base), found.top - base.log_evidence
     errs = problem.rules.search.large_screen_error
-    slips = len(known) < 2 and not base.model.effects.has_friction and problem.regime.knows_torque
+    slips = len(known) < 2 and not base.model.effects.changes("friction") and problem.regime.knows_torque
     # Outliers come before what explains less than they do.
     slips = slips and (not known or base.log_evidence > found.cleaned - errs)
     slips = slips and not (found.explained and ((base.effects and base.complete) or behind > errs))

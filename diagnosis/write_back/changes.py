@@ -15,7 +15,7 @@ from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects.base import rotated
-from invdyn.models.effects.gravity_tilt import turned
+from invdyn.models.effects.disturbances import turned
 from invdyn.models.effects.inertias import inertia_of
 
 SEEN = "how the motion is seen is no part of a simulation's file"

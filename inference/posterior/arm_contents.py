@@ -22,7 +22,7 @@ from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
 from invdyn.inference.posterior.visibility import unseen_lines, visibility
 from invdyn.models import ArmModel
 from invdyn.models.bodies.protocol import axes
-from invdyn.models.observation.base_point import first_joint
+from invdyn.models.observation.keypoints import first_joint
 from invdyn.models.observation.observation import Observation
 from invdyn.recordings import Recording, Truth
 

@@ -41,7 +41,7 @@ from torch import Tensor
 from invdyn.inference.posterior.problem import DRAWS, Contents
 from invdyn.models import ArmModel, Body
 from invdyn.models.bodies.scalars import prior
-from invdyn.models.effects.gravity_tilt import GravityTilt
+from invdyn.models.effects.disturbances import GravityTilt
 from invdyn.models.effects.inertias import size_of
 
 MASS, MOMENT = 0.05, 0.1

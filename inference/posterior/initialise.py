@@ -42,7 +42,7 @@ from invdyn.models.articulated.defaults import WrongValue
 from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.models.articulated.start import joint_angle_sd, on_base_at_rest
 from invdyn.models.kinematics import joint_angle_candidates
-from invdyn.models.observation.base_point import BasePoint
+from invdyn.models.observation.keypoints import BasePoint
 from invdyn.models.observation.pixels import DEFAULT_BIAS, Pixels
 from invdyn.models.state_space import UnknownParameter
 from invdyn.recordings import InputError, Recording, SiteForce, Truth

@@ -28,8 +28,7 @@ import torch
 from pyro.distributions import Distribution, Independent
 from torch import Tensor
 
-from invdyn.models.observation.missing import observed_log_prob
-from invdyn.models.observation.row_distribution import RowDistribution
+from invdyn.models.observation.missing import RowDistribution, observed_log_prob
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
 REACH = 1e3

@@ -74,7 +74,7 @@ class Motors:
         time, given = self.timeline.time, self.drive.command
         torque = time.new_zeros(len(time), self.joints) if given is None else given
         held = self.drive.finer or Command.held(time, torque)
-        if self.effects.has_command:
+        if self.effects.changes("command"):
             # In float64, as times are long and steps short, in states of either type.
             held = self.effects.command({name: value.double() for name, value in self.parameters.items()}, held)
         held = held if held.time is time else held.onto(time)

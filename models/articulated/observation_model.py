@@ -91,7 +91,7 @@ class ObservationModel:
             view.doubt = keypoints.doubted(t, view.q, view.points.shape[-2])
         angles = effects.angles(parameters, view) if self.observation.encoders else view.q
         view = effects.points(parameters, view)
-        if effects.has_noise:
+        if effects.changes("noise"):
             view.noise = lambda sd: effects.noise(parameters, view, sd)
         view.angles, view.mistakes = angles, effects.mistakes(parameters, view)
         return view

@@ -1,66 +1,23 @@
 """Where linearising begins: paths through smoothed inverse kinematics (:mod:`invdyn.models.kinematics`).
 
 From angles θ (T, K): velocities and accelerations by differences, torques by inverse dynamics, on the CPU in float64.
-Of a base that moves its own track tells the path (:mod:`.base_track`), which is taken from the keypoints first.
+Of a base that moves its own track tells the path (:mod:`.base_track`), which is taken from the keypoints first. A model
+here is an :class:`.ArmModel`, or what has as much of its body, sensors and parameters.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from invdyn.models.articulated.base_track import smoothed
-from invdyn.models.articulated.moving_base import MovingBase
-from invdyn.models.articulated.state import StateLayout
-from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.kinematics import joint_angle_candidates
-from invdyn.models.observation.base_point import first_joint
+from invdyn.models.observation.keypoints import first_joint
 from invdyn.models.observation.observation import Observation
-from invdyn.models.torques import TorqueProcess
 
 
-class Watched(Protocol):
-    """A body before its sensors."""
-
-    body: ArticulatedBody
-    dynamics: Dynamics
-    observation: Observation
-    parameters: dict[str, Tensor]
-
-
-class Articulated(Watched, Protocol):
-    """What a model has to give here; :class:`.arm.ArmModel` is one."""
-
-    torque: TorqueProcess
-    base: MovingBase | None
-
-    @property
-    def layout(self) -> StateLayout:
-        """Of its states."""
-
-    @property
-    def time(self) -> Tensor:
-        """(T,) s."""
-
-    @property
-    def command(self) -> Tensor | None:
-        """(T, K) N·m."""
-
-    @property
-    def dtype(self) -> torch.dtype:
-        """Of its parameters."""
-
-    @property
-    def device(self) -> torch.device:
-        """Of its parameters."""
-
-    def body_parameters(self) -> Any:
-        """The body's numbers."""
-
-
-def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
+def kinematic_paths(model: Any, observations: Tensor) -> Tensor | None:
     """Paths (C, T, D) of a model through observations (T, O); None where these tell too little."""
     numbers, time = _plain_numbers(model), model.time.cpu()
     base = base_path(model, observations)
@@ -73,7 +30,7 @@ def kinematic_paths(model: Articulated, observations: Tensor) -> Tensor | None:
     return torch.stack([_path_through(model, torch.as_tensor(angles), time, numbers, base) for angles in candidates])
 
 
-def path_through(model: Articulated, angles: Tensor, like: Tensor | None = None) -> Tensor:
+def path_through(model: Any, angles: Tensor, like: Tensor | None = None) -> Tensor:
     """The path (T, D) of a model through joint angles (T, K), rad; its base moves as in a path ``like`` (T, D)."""
     base = None
     if model.base is not None and like is not None:
@@ -81,7 +38,7 @@ def path_through(model: Articulated, angles: Tensor, like: Tensor | None = None)
     return _path_through(model, angles.detach().cpu().double(), model.time.cpu(), _plain_numbers(model), base)
 
 
-def base_path(model: Articulated, observations: Tensor) -> Tensor | None:
+def base_path(model: Any, observations: Tensor) -> Tensor | None:
     """States (T, 4 d) of a base that moves, by its own track in rows (T, O); None where there is none."""
     sensor = model.observation.base_point
     if model.base is None or sensor is None:
@@ -97,12 +54,12 @@ def on_base_at_rest(observation: Observation, rows: Tensor, place: Tensor) -> Te
     return observation.with_points(rows, observation.points(rows) - place.to(rows).unsqueeze(-2))
 
 
-def _plain_numbers(model: Articulated) -> Any:
+def _plain_numbers(model: Any) -> Any:
     numbers = model.body_parameters()
     return type(numbers)(*(value.detach().cpu().double() for value in numbers))
 
 
-def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:
+def joint_angle_sd(model: Any, numbers: Any) -> np.ndarray:
     """Standard deviation (K,) with which one row tells each joint's, in the plane each link's, angle, rad."""
     if model.observation.encoders:
         sd = model.parameters["emission.angle_scale"]
@@ -116,7 +73,7 @@ def joint_angle_sd(model: Watched, numbers: Any) -> np.ndarray:
     return sd.detach().cpu().double().clamp(max=1.0).numpy()
 
 
-def _path_through(model: Articulated, q: Tensor, time: Tensor, numbers: Any, base: Tensor | None) -> Tensor:
+def _path_through(model: Any, q: Tensor, time: Tensor, numbers: Any, base: Tensor | None) -> Tensor:
     step = time.diff().unsqueeze(-1)
     # Forward differences: under explicit Euler they satisfy the transition exactly.
     qd = q.diff(dim=0) / step

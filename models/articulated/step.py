@@ -67,7 +67,7 @@ class Mechanics:
         return self._followed_numbers()
 
     def _followed_numbers(self) -> Any:
-        return self.effects.body(self.parameters, self.body.completed(self.given))
+        return self.effects.through("body", self.parameters, self.body.completed(self.given))
 
     def step(self, drive: RowDrive, hidden: Tensor, q: Tensor, qd: Tensor) -> list[Tensor]:
         """Hidden states, in pieces, q and q̇ one row later."""
@@ -111,7 +111,7 @@ class Mechanics:
 
     def _integrated(self, drive: RowDrive, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor]:
         """The body one row later; dry friction is constant within sub-steps."""
-        spans = drive.parts if self.effects.has_friction else 1
+        spans = drive.parts if self.effects.changes("friction") else 1
         for i in range(spans):
             q, qd = self._span(drive, q, qd, i / spans, 1 / spans, drive.parts // spans)
         return q, qd
@@ -122,7 +122,7 @@ class Mechanics:
         """``steps`` sub-steps that are a ``share`` of the row, under the dry friction at their beginning."""
         held: Tensor | float = 0.0
         off = first = None
-        if self.effects.has_friction:
+        if self.effects.changes("friction"):
             torque, own, now = self.smooth(drive, q, qd, start)
             assert now is not None  # effects ask for it
             held, off, first = self.effects.friction(self.parameters, now, torque, own, held=True)
@@ -147,7 +147,7 @@ class Mechanics:
             return self.with_friction(*self.smooth(drive, q, qd, s))
 
         def pull(angles: Tensor, rates: Tensor, s: float | Tensor) -> Tensor | float:
-            if not self.effects.pulls:
+            if not self.effects.changes("pull"):
                 return 0.0
             here = self.now(drive, hinge.own_angles(angles), hinge.own_angles(rates), s)
             bent = replace(here, q=angles, qd=rates, body=links, dynamics=whole, split=hinge.place[0])
@@ -181,7 +181,7 @@ class Mechanics:
         if not self.effects:
             return self._driven(drive, q, s), None, None
         own = self.effects.inertia(self.parameters, self.body.num_joints)
-        if not (self.effects.has_force or self.effects.has_friction):
+        if not (self.effects.has_force or self.effects.changes("friction")):
             return self._driven(drive, q, s), own, None
         now = self.now(drive, q, qd, s)
         return now.motor + self.effects.force(self.parameters, now) + self._carried(drive, q, s), own, now
@@ -206,7 +206,7 @@ class Mechanics:
 
     def with_friction(self, torque: Tensor, own: Tensor | None, now: Situation | None) -> tuple[Tensor, Tensor | None]:
         """All torques, and the joints' own inertias."""
-        if self.effects.has_friction:
+        if self.effects.changes("friction"):
             assert now is not None  # effects ask for it
             torque = torque + self.effects.friction(self.parameters, now, torque, own)[0]
         return torque, own

@@ -82,7 +82,7 @@ class Transition:
         None where there are none, or where a recording begins with what it knows.
         """
         effects, p = self.mechanics.effects, self.mechanics.parameters
-        if not (effects.has_late and self.torque.underway):
+        if not (effects.changes("late") and self.torque.underway):
             return None
         elapsed = self.timeline.since[t - 1].to(self.motors.dtype).unsqueeze(-1)
         return effects.late(p, elapsed, self.layout.joints) * self.torque.unsettled(self._lasts(t), p)
@@ -111,7 +111,7 @@ class Transition:
     def _lasts(self, t: Row) -> Tensor:
         """What a row's interval really takes, s, (..., 1)."""
         dt, effects = self.timeline.interval(t, self.motors.dtype), self.mechanics.effects
-        return effects.interval(self.mechanics.parameters, dt) if effects else dt
+        return effects.through("interval", self.mechanics.parameters, dt)
 
     @property
     def _of_rows(self) -> bool:

@@ -40,8 +40,7 @@ from invdyn.models.bodies.link import Link, ordered
 from invdyn.models.bodies.protocol import kept_as
 from invdyn.models.bodies.rotations import numbers
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, check_name, nominal, prior
-from invdyn.models.bodies.sticks import Sticks
-from invdyn.models.bodies.tree_parameters import assembled, moments, vector_of
+from invdyn.models.bodies.tree_parameters import Sticks, assembled, moments, vector_of
 
 POSITIVE = ("mass", "length", "inertia", *(f"inertia_{name}" for name in NAMES[:3]))
 """Scalars that are learned as positive numbers, by the last word of their Pyro sites."""

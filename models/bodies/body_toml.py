@@ -21,7 +21,7 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
     mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
     mass = {start = 1.5}            # learned from the recording, beginning here
 
-A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`.
+A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `from_files.py`.
 
 A tree in space:
 
@@ -50,7 +50,7 @@ A tree in space:
     com = [0.12, 0.0, 0.0]      # m, in the link's frame
     inertia = [1e-4, 8e-3, 8e-3, 0.0, 0.0, 0.0]     # kg·m² about the com: xx, yy, zz, xy, xz, yz
     sites = {wrist = [0.25, 0.0, 0.0], watch = [0.22, 0.0, 0.03]}   # m, named points
-    damping = 0.1               # of a hinge or slide: this and what else `joint_parts_toml.py` says
+    damping = 0.1               # of a hinge or slide: this and what else `joint_parts.py` says
 
 `reference = [[…], […], […]]`, axes too, turns the link's frame against its joint's (see `joints.py`). A scalar may be
 a table, as above; each of com, inertia, origin and a site's too. A load's `at` has three numbers, in the link's frame.
@@ -64,7 +64,7 @@ from pathlib import Path
 
 import pyro.distributions as dist
 
-from invdyn.models.bodies import joint_parts_toml
+from invdyn.models.bodies.joint_parts import PART_KEYS, parts_table, parts_taken
 from invdyn.models.bodies.joints import WORLD
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
@@ -78,7 +78,7 @@ ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
 JOINT_KEYS = ("type", "axis", "chart")
 VECTORS = ("origin", "com", "inertia")
 LOAD = "load"
-"""A point mass that a link carries, see :mod:`.load`."""
+"""A point mass that a link carries, see :mod:`.from_files`."""
 PLANAR_KEYS = (*PLANAR_REQUIRED, "com", "inertia")
 TREE_KEYS = (*PLANAR_KEYS, "parent", *JOINT_KEYS, "reference", *ROTATIONS, "origin", "sites")
 
@@ -173,7 +173,7 @@ def _written(link: Link, planar: bool) -> dict:
         scalars |= {key: vector_of(link, key) for key in ("com", "inertia")} | {"origin": link.origin}
     values |= {"tip": link.tip} if link.tip else {}
     values |= {key: _scalars_to_table(value, key) for key, value in scalars.items() if value is not None}
-    values |= joint_parts_toml.table(link.parts)
+    values |= parts_table(link.parts)
     sites = {name: _scalars_to_table(at, name) for name, at in link.sites.items()}
     return values | ({"sites": sites} if sites else {})
 
@@ -184,8 +184,8 @@ def _key(name: str) -> str:
 
 
 def _read_link(link: dict, planar: bool, where: str) -> dict:
-    parts = joint_parts_toml.taken(link, where)
-    check_keys(link, (*(PLANAR_KEYS if planar else TREE_KEYS), LOAD, *joint_parts_toml.KEYS), where)
+    parts = parts_taken(link, where)
+    check_keys(link, (*(PLANAR_KEYS if planar else TREE_KEYS), LOAD, *PART_KEYS), where)
     required = PLANAR_REQUIRED if planar else REQUIRED
     if missing := [key for key in required if key not in link]:
         raise BodyError(f"{where}: expected the keys {', '.join(required)}; missing: {', '.join(missing)}")

@@ -11,11 +11,16 @@ gain · ctrl + bias₀ + bias₁ · length + bias₂ · velocity, with length = 
 kicks velocities at the beginning of each step of h s and then moves with them, so that u acts h/2 early. A damper that
 it takes at the end of a step acts h/2 early, too, as an inertia B h/2 would; one that it takes from the beginning h/2
 late (Hairer, Lubich & Wanner 2006, §IX.1).
+
+Joints' parts in a body's TOML: keys of a link, and its motor as a table.
+
+damping = 0.1            friction = 0.05        armature = 0.01        stiffness = 2.0        rest = 0.3
+motor = {kind = "position", gain = 40.0, stiffness = 40.0, damping = 1.0, low = -5.0, high = 5.0}
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 from invdyn.models.bodies.scalars import KNOWN, UNKNOWN, BodyError, check_keys, number
 
@@ -135,3 +140,41 @@ def relative(
             f"as uncertainty, got {sds}"
         )
     return sds
+
+
+SAID = (*NUMBERS, "sign", "zero", "step", "late")
+PART_KEYS = (*SAID, "motor")
+
+
+def parts_taken(link: dict, where: str) -> JointParts | None:
+    """A link's keys that are its joint's parts, taken out of it; None of none. Raises `BodyError`."""
+    given = {key: link.pop(key) for key in PART_KEYS if key in link}
+    if not given:
+        return None
+    try:
+        if "motor" in given:
+            motor = given["motor"]
+            if not isinstance(motor, dict):
+                raise BodyError(f"expected motor as a table, such as {{low = -5.0, high = 5.0}}, got {motor!r:.60}")
+            check_keys(motor, [each.name for each in fields(Motor)], f"{where}: motor")
+            if motor.get("kind") == "position":
+                motor = {"stiffness": motor.get("gain", 1.0), **motor}
+            given["motor"] = Motor(**motor)
+        return JointParts(**given)
+    except BodyError as error:
+        text = str(error)
+        raise BodyError(text if text.startswith(where) else f"{where}: {text}") from None
+
+
+def parts_table(parts: JointParts | None) -> dict:
+    """The keys of a link that say the same; those that stand as they would without are left out."""
+    if parts is None:
+        return {}
+    found = {key: getattr(parts, key) for key in SAID if getattr(parts, key) != getattr(NOTHING, key)}
+    if parts.motor is not None:
+        plain = Motor()
+        said = {each.name: getattr(parts.motor, each.name) for each in fields(Motor)}
+        found["motor"] = {key: value for key, value in said.items() if key == "kind" or value != getattr(plain, key)}
+        if parts.motor.kind == "position":
+            found["motor"]["stiffness"] = parts.motor.stiffness
+    return found

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
-from invdyn.models.bodies.mjcf_disabled import acts
+from invdyn.models.bodies.mujoco_model import acts
 
 
 def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:

@@ -6,9 +6,9 @@ from numbers import Real
 
 import pyro.distributions as dist
 
+from invdyn.models.bodies.inertia import placeholder
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint
-from invdyn.models.bodies.placeholders import placeholder
 from invdyn.models.bodies.rotations import UNTURNED, from_rows
 from invdyn.models.bodies.scalars import (
     LARGEST,

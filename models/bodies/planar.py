@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from invdyn.models.bodies.inertia import placeholder
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.link import Link
-from invdyn.models.bodies.placeholders import placeholder
 from invdyn.models.bodies.rotations import UNTURNED
 from invdyn.models.bodies.scalars import QUANTITIES, SMALLEST, BodyError, checked, vector
 from invdyn.models.bodies.tree_parameters import TreeParameters

@@ -1,11 +1,11 @@
 """What a real arm has and an ideal rigid body lacks, one effect a class; all of them in :mod:`.catalogue`."""
 
-from invdyn.models.effects.actuator import Actuator
 from invdyn.models.effects.base import PREFIX, Effect, effect_name
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, HiddenHinge
+from invdyn.models.effects.motors import Actuator
 from invdyn.models.effects.parameter import Parameter, Values
 from invdyn.models.effects.scale import Scale
 from invdyn.models.observation.view import View

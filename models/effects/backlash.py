@@ -13,7 +13,7 @@ v (1 − ωt) exp(−ωt), with e = exp(−2) of its speed. A slow impact, in wh
 so that few of them end each bounce.
 
 Where contact begins or ends a sub-step ends with it (event location: Hairer, Nørsett & Wanner, "Solving Ordinary
-Differential Equations I", II.6; :mod:`invdyn.models.dynamics.dense_output`), and the rest of that is a sub-step of
+Differential Equations I", II.6; :mod:`invdyn.models.dynamics.integrators`), and the rest of that is a sub-step of
 its own: through contacts, too, errors fall with the fourth power of the sub-step. Left to its end they fell with
 the first, which cost one recording of 259 rows 98 nats. More contacts than a row has room for do wait for
 the end (Moreau's time-stepping) and give nothing back. Such an impact was earlier by the time that the gap took to
@@ -30,8 +30,7 @@ from pyro.distributions import Exponential
 from torch import Tensor
 
 from invdyn.models.bodies.planar import BodyParameters
-from invdyn.models.dynamics.dense_output import Passage
-from invdyn.models.dynamics.integrators import rk4
+from invdyn.models.dynamics.integrators import Passage, rk4
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Parameter, Scale, Values

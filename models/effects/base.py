@@ -121,8 +121,10 @@ class Effect(ABC):
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""
+    variants: ClassVar[int] = 0
+    """How many non-ideal variants of the law the class itself has; see :meth:`nonideal`."""
     variant: int = 0
-    """0 for the ideal law, 1 and more for its non-ideal variants, which have more parameters; see :meth:`nonideal`."""
+    """0 for the ideal law, 1 and more for those variants, which have more parameters."""
 
     def __init_subclass__(cls) -> None:
         if "name" not in cls.__dict__:
@@ -200,7 +202,7 @@ class Effect(ABC):
 
     def nonideal(self) -> "Effect | None":
         """The same effect at the same place, without one idealisation more; None if there is none."""
-        return None
+        return as_variant(self, self.variant + 1) if self.variant < self.variants else None
 
 
 def stages_of(effect: Effect | type[Effect]) -> tuple[str, ...]:

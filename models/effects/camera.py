@@ -1,20 +1,58 @@
 """What a camera makes of the picture: one effect a class.
 
+camera_latency   keypoints that come late: a row shows p(t − δ)
 camera_roll      a camera that is not level: R(α) p, the picture rotated about the frame's origin
 camera_scale     a camera whose scale is off: p → s p about the frame's origin
 camera_yaw       the plane of motion seen obliquely: (x cos ψ, y) D / (D + x sin ψ)
 lens_distortion  radial distortion of the lens: p (1 + k₁ |p|²), Brown's first term
 rolling_shutter  a camera that reads its rows one after the other: a point at height y is seen at t + ρ y
+
+A row's state is the arm's when its picture was taken. Of a camera that is late, the motors are late to that state, and
+encoders, whose clock is the motors', are ahead: u'(t) = u(t − δ), and encoders show θ(t + δ).
 """
 
 import math
+from abc import abstractmethod
 
 import torch
-from pyro.distributions import LogNormal, Normal, StudentT
+from pyro.distributions import HalfNormal, LogNormal, Normal, StudentT
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Scale, Values, View, rotated
-from invdyn.models.effects.optics import Optics
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, View, quantiles, rotated
+
+
+class Optics(Effect):
+    """Base of the camera's effects on all points: about the frame's origin, in the variant about any centre.
+
+    The origin is a choice of the calibration, and no property of the lens, as its centre is.
+    """
+
+    planar = True
+    side, site, order = "observation", "arm", 2
+    variants = 1
+
+    @abstractmethod
+    def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Parameters of f."""
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Those of f; in the variant the centre, m."""
+        if not self.variant:
+            return self.about_origin(scale)
+        prior, grid = Normal(0.0, 0.5 * scale.reach), (-0.4 * scale.reach, 0.4 * scale.reach)
+        centre = (Parameter(f"centre_{axis}", "m", prior, None, grid) for axis in "xy")
+        return (*self.about_origin(scale), *centre)
+
+    @abstractmethod
+    def seen(self, p: Values, points: Tensor) -> Tensor:
+        """What f makes of points (..., K, 2) m."""
+
+    def points(self, p: Values, view: View) -> Tensor:
+        """The picture, c + f(p − c)."""
+        if not self.variant:
+            return self.seen(p, view.points)
+        centre = torch.cat(torch.broadcast_tensors(p["centre_x"], p["centre_y"]), -1).unsqueeze(-2)
+        return centre + self.seen(p, view.points - centre)
 
 
 class CameraRoll(Optics):
@@ -24,7 +62,7 @@ class CameraRoll(Optics):
     """
 
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
-        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.gravity_tilt`); any may be."""
+        """Angle, rad: nine cameras in ten are level to 3°, as few bases are (:mod:`.disturbances`); any may be."""
         return (Parameter("angle", "rad", StudentT(3.0, 0.0, 0.02)),)
 
     def seen(self, p: Values, points: Tensor) -> Tensor:
@@ -106,3 +144,26 @@ class RollingShutter(Effect):
         delay = readout * view.points[..., 1:] / stretch
         missed = readout * view.later(delay)[..., 1:] - delay
         return view.later(delay + missed / stretch)
+
+
+class CameraLatency(Effect):
+    """The picture in a row was taken δ before its time. Encoders are followed over δ
+    (:mod:`..articulated.observation_model`).
+
+    Only encoders distinguish it from motors that act late. Without commands, too, it has no effect at all.
+    """
+
+    side, site = "observation", "arm"
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Latency δ, s."""
+        prior = HalfNormal(0.03)
+        return (Parameter("latency", "s", prior, 0.0, quantiles(prior, 6)),)
+
+    def command(self, p: Values, command: Command) -> Command:
+        """u(t − δ)."""
+        return command.delayed(p["latency"])
+
+    def angles(self, p: Values, view: View) -> Tensor:
+        """θ(t + δ)."""
+        return view.angles_after(p["latency"])

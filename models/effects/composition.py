@@ -16,8 +16,7 @@ from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
-from invdyn.models.observation.view import View
+from invdyn.models.observation.view import Outlier, Shift, Swap, View
 
 PARTS = 8
 """Lines that stand for each row of a command that lags and is changed further."""
@@ -59,16 +58,11 @@ class Composition:
         self._forcing = [(effect, stage) for effect in effects for stage in FORCES if hasattr(effect, stage)]
         self.has_force = bool(self._forcing)
         self.has_servo = any(hasattr(effect, "answer") for effect in filed)
-        self.pulls = self.changes("pull")
         self.max_substep = min((effect.max_substep for effect in effects), default=math.inf)
         self.abrupt = self.max_substep < math.inf
-        self.has_friction = self.changes("friction")
         self.has_changing_friction = not all(getattr(e, "steady", False) for e in self._changing["friction"])
-        self.has_command = self.changes("command")
-        self.has_late = self.changes("late")
         # What one makes of a row is a curve, which another may cut within the row.
-        self.parts = PARTS if self.has_late and len(self._changing["command"]) > 1 else 1
-        self.has_noise = self.changes("noise")
+        self.parts = PARTS if self.changes("late") and len(self._changing["command"]) > 1 else 1
         self.seen = any(self.changes(stage) for stage in SEEN)
         hidden = [effect for effect in effects if isinstance(effect, Hidden)]
         movers = [effect for effect in hidden if not isinstance(effect, Follower)]
@@ -100,26 +94,17 @@ class Composition:
         prefix = "body." if effect in self.filed else f"{PREFIX}{effect.key}."
         return partial(getattr(effect, stage), _beginning(prefix, parameters))
 
-    def _through(self, stage: str, parameters: Mapping[str, Tensor], x: Any) -> Any:
-        """What effects make of ``x``, one after the other."""
+    def through(self, stage: str, parameters: Mapping[str, Tensor], x: Any) -> Any:
+        """What effects make of ``x`` at a stage that returns x, one after the other: of the body, or of an interval."""
         for _, acts in self._each(stage, parameters):
             x = acts(x)
         return x
 
-    def body(self, parameters: Mapping[str, Tensor], body: Any) -> Any:
-        """The body's numbers as all effects leave them."""
-        return self._through("body", parameters, body)
-
     def command(self, parameters: Mapping[str, Tensor], command: Command) -> Command:
         """The command as all actuators make it; in shorter rows, where several do."""
         command = command if self.parts == 1 else command.split(self.parts)
-        made: Command = self._through("command", parameters, command)
+        made: Command = self.through("command", parameters, command)
         return made
-
-    def interval(self, parameters: Mapping[str, Tensor], dt: Tensor) -> Tensor:
-        """The time that a step really takes, s."""
-        taken: Tensor = self._through("interval", parameters, dt)
-        return taken
 
     def late(self, parameters: Mapping[str, Tensor], elapsed: Tensor, joints: int) -> Tensor:
         """Largest share, (..., K), of earlier commands that still acts ``elapsed`` (..., 1) s after the first row."""

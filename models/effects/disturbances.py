@@ -1,16 +1,20 @@
-"""Forces from outside and a base that shakes: one effect a class.
+"""Forces from outside, a base that shakes or leans: one effect a class.
 
 base_motion    a base that shakes: b(t) = a sin 2πft + c cos 2πft under the first joint
 external_push  someone pushes: a force F on a keypoint between two moments, τ = Jᵀ F
+gravity_tilt   gravity from another direction, as the frame is not level: R(α) g
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any, Self
 
 import torch
 from pyro.distributions import HalfNormal, LogNormal, Normal, Uniform
 from torch import Tensor
 
-from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values, View
+from invdyn.models.bodies.protocol import AXES, ArticulatedBody
+from invdyn.models.effects.base import Effect, Parameter, Scale, Situation, Values, View, rotated
 from invdyn.models.shapes import joined_by_column
 
 LOWEST, HIGHEST, FINEST = 0.3, 10.0, 120  # Hz, and frequencies in the grid at most
@@ -88,3 +92,55 @@ class ExternalPush(Effect):
         on, off = (((now.time - edge) / now.step + 0.5).clamp(0.0, 1.0) for edge in edges)
         force = torch.cat(torch.broadcast_tensors(p["impulse_x"], p["impulse_y"]), -1) / duration
         return now.at_site(self.place[0], force) * (on - off)
+
+
+class GravityTilt(Effect):
+    """Gravity rotated by an angle, in the frame of the body and of the camera.
+
+    In the plane counter-clockwise; only encoders or a picture of the base distinguish it from a rolled camera. A plumb
+    line does not: both rotate it. In space the base leans about the two axes of the frame that are nearest to level: a
+    rotation vector of these two coordinates.
+    """
+
+    site = "arm"
+    about: tuple[int, ...] = ()
+    """Axes of the frame about which it may rotate, by number; none in the plane."""
+
+    @classmethod
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
+        """One, where there is gravity."""
+        return [cls()] if any(body.gravity) else []
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        if body.dimensions == 3:
+            upright = max(range(3), key=lambda axis: abs(body.gravity[axis]))
+            other.about = tuple(axis for axis in range(3) if axis != upright)
+        return other
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(f"about_{AXES[axis]}" for axis in self.about) or ("angle",)
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Angle, rad; in space two."""
+        return tuple(Parameter(name, "rad", Normal(0.0, 0.15)) for name in self._names)
+
+    def body(self, p: Values, body: Any) -> Any:
+        """R g."""
+        if not self.about:
+            return body._replace(gravity=rotated(body.gravity, p["angle"]))
+        angles = [p[name][..., 0] for name in self._names]
+        vector = [torch.zeros_like(angles[0])] * 3
+        for axis, angle in zip(self.about, angles, strict=True):
+            vector[axis] = angle
+        return body._replace(gravity=turned(body.gravity, torch.stack(vector, -1)))
+
+
+def turned(vector: Tensor, by: Tensor) -> Tensor:
+    """Vectors (..., 3) rotated by rotation vectors (..., 3), rad (Rodrigues): smooth where these are 0."""
+    vector, by = torch.broadcast_tensors(vector, by)
+    angle = (by.square().sum(-1, keepdim=True) + 1e-30).sqrt()
+    once = torch.linalg.cross(by, vector)
+    twice = torch.linalg.cross(by, once)
+    return vector + torch.sinc(angle / torch.pi) * once + 0.5 * torch.sinc(angle / (2 * torch.pi)) ** 2 * twice

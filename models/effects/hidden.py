@@ -14,7 +14,7 @@ The other effects act on the K joints; forces on points of the arm (stage ``pull
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple, overload
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -103,14 +103,8 @@ class HiddenHinge(Hidden):
         """
         return self.gathered(angles)[0]
 
-    @overload
-    def on_joints(self, values: Tensor) -> Tensor: ...
-
-    @overload
-    def on_joints(self, values: Tensor | None) -> Tensor | None: ...
-
-    def on_joints(self, values: Tensor | None) -> Tensor | None:
-        """Torques or inertias (..., K) of the joints as those of K + 1 hinges, with none on the hidden one."""
+    def on_joints(self, values: Any) -> Any:
+        """Torques or inertias (..., K) of the joints as those of K + 1 hinges, none on the hidden one; or None."""
         if values is None:
             return None
         k = self.place[0]

@@ -17,7 +17,7 @@ from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
-from invdyn.models.effects.base import Effect, Parameter, Scale, Values, as_variant
+from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.shapes import join, joined_by_column
 
@@ -36,10 +36,7 @@ class LinkFlexibility(HiddenHinge):
     """
 
     site = "link"
-
-    def nonideal(self) -> Effect | None:
-        """With a hinge at any position."""
-        return None if self.variant else as_variant(self, 1)
+    variants = 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and damping d, N·m·s/rad; in the variant the hinge's position π, a pure number."""

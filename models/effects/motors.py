@@ -1,19 +1,82 @@
-"""What motors make of a command: one effect a class.
+"""What motors make of a command, at one joint or at all joints with equal values: one effect a class.
 
 actuator_deadzone    a motor that small commands do not move: u − clip(u, ±d)
 actuator_delay       motors that act late: u(t − T)
+actuator_gain        motors whose torque is off by a factor: (1 + ε) u, and servos whose gain is
 actuator_lag         motors that follow their command slowly: T u̇_f + u_f = u
 actuator_saturation  a motor at its limit: u clipped to ±u_max
+
+A servo makes K c + u₀ − S θ − D θ̇ of its target c, within limits (:mod:`..bodies.joint_parts`). Its gain is the factor
+on what it makes of the target and of the quantity that this is for,
+
+τ = (1 + ε)(K c + u₀ − S θ) − D θ̇        if its targets are angles, kp in MuJoCo
+τ = (1 + ε)(K c + u₀ − D θ̇) − S θ        if its targets are velocities, kv in MuJoCo
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import ClassVar, Self
 
 import torch
-from pyro.distributions import HalfNormal, LogNormal
+from pyro.distributions import HalfNormal, LogNormal, StudentT
 from torch import Tensor
 
-from invdyn.models.effects.actuator import Actuator
-from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, quantiles, with_entry
+from invdyn.models.bodies.joint_parts import Motor
+from invdyn.models.bodies.protocol import ArticulatedBody
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Situation, Values, quantiles, with_entry
+
+
+class Actuator(Effect):
+    """Base of effects on a command: ``ActuatorGain("elbow")``, or ``ActuatorGain()`` for all joints together."""
+
+    def __init__(self, *where: str):
+        every = not where or (len(where) == 1 and where[0] in self.forms)
+        super().__init__(*(("all",) if every else ()), *where)
+        self.where = where
+
+    @classmethod
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
+        """Every joint, and all of them together where there are several, in every form."""
+        joints = [(joint,) for joint in body.joint_names]
+        places: list[tuple[str, ...]] = [(), *joints] if len(joints) > 1 else [*joints]
+        return [cls(*place, *form) for form in ((), *((word,) for word in cls.forms)) for place in places]
+
+    def of(self, values: list[float]) -> float:
+        """Its own joint's of all joints' ``values``, or their mean."""
+        return values[self.place[0]] if self.place else sum(values) / len(values)
+
+    def at_joints(self, value: Tensor, joints: int) -> Tensor:
+        """A value (..., 1) at this actuator's joints and 0 at the others, (..., K)."""
+        mine = torch.zeros(joints).index_fill(0, torch.tensor(self.place or range(joints)), 1.0)
+        return value * mine.to(value)
+
+    def delay_scale(self, scale: Scale) -> float:
+        """A long delay for an arm of this speed, s."""
+        return 0.2 / self.of(scale.speed)
+
+
+class OfServos(Effect):
+    """Base of the effects that change what the servos at their joints answer, if any are there."""
+
+    servos: Mapping[int, Motor] = MappingProxyType({})
+    """Those of its joints, or of all joints where it has no place, by number."""
+
+    def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
+        other = super()._bound(body, where)
+        every = enumerate(body.joint_parts)
+        own = {k: parts.servo for k, parts in every if parts is not None and (not other.place or k in other.place)}
+        other.servos = {k: servo for k, servo in own.items() if servo is not None}
+        return other
+
+
+def answer_changed(servo: Motor, k: int, now: Situation, more: Tensor) -> Tensor:
+    """Change of what joint ``k``'s ``servo`` gives if it demands so much ``more``, (..., 1) N·m each."""
+    if not servo.limited:
+        return more
+    given = (now.motor if now.commanded is None else now.commanded)[..., k : k + 1]
+    whole = given - servo.stiffness * now.q[..., k : k + 1] - servo.damping * now.qd[..., k : k + 1]
+    return (whole + more).clamp(servo.low, servo.high) - whole.clamp(servo.low, servo.high)
 
 
 class ActuatorDeadzone(Effect):
@@ -108,3 +171,45 @@ class ActuatorSaturation(Effect):
             return with_entry(torque, self.place[0], torch.maximum(torch.minimum(self.own(torque), limit), -limit))
 
         return command.changed(clipped)
+
+
+LEAST = -0.8
+"""Least ε of a motor: arms without mass under motors that give nearly nothing would explain any recording."""
+LEAST_OF_SERVO = -0.999
+"""Of a servo, which falls behind its target by what it carries: public files of one arm have gains 56 apart."""
+GEARS = 15.0
+"""Order of ε for a gear that was left out; robots' gears have ratios from a few to a hundred and sixty."""
+LEFT_OUT = 1.0
+"""Least ε of such a gear."""
+
+
+class ActuatorGain(Actuator, OfServos):
+    """Torque (1 + ε) u, of a wrong torque constant or gear ratio; of a servo a gain that is not its file's.
+
+    ``ActuatorGain("elbow", "geared")`` is a torque that was logged before its gear. For all joints only a known weight
+    or a passive recording distinguishes either from a common factor of all masses. As ``gear`` in MuJoCo.
+    """
+
+    order = -1
+    forms: ClassVar[tuple[str, ...]] = ("geared",)
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Excess ε, a pure number; some gears are not what was written down, or were left out."""
+        if self.form:
+            return (Parameter("gain", "1", HalfNormal(GEARS), least=LEFT_OUT),)
+        servos = all(k in self.servos for k in self.place) and bool(self.place)
+        return (Parameter("gain", "1", StudentT(3.0, 0.0, 0.15), least=LEAST_OF_SERVO if servos else LEAST),)
+
+    def command(self, p: Values, command: Command) -> Command:
+        """(1 + ε) u."""
+        factor = 1 + self.at_joints(p["gain"], command.mean.shape[-1])
+        return command.changed(lambda torque: factor * torque)
+
+    def answer(self, p: Values, now: Situation) -> Tensor | None:
+        """−ε S θ, or −ε D θ̇ for targets of velocity, within a servo's limits; the command has the rest."""
+        found = [now.at(k, self._more(p["gain"], k, servo, now)) for k, servo in self.servos.items()]
+        return sum(found[1:], start=found[0]) if found else None
+
+    def _more(self, gain: Tensor, k: int, servo: Motor, now: Situation) -> Tensor:
+        stiff, slow = servo.stiffness * now.q[..., k : k + 1], servo.damping * now.qd[..., k : k + 1]
+        return answer_changed(servo, k, now, -gain * (stiff if servo.kind == "position" else slow))

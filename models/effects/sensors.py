@@ -1,10 +1,13 @@
 """What trackers, encoders and clocks add: one effect a class.
 
 clock_rate        frames taken at another rate than stated: their true times are t₀ + (t − t₀)/s
+encoder_offset    an encoder whose zero is not the simulation's: θ + δ; a servo then holds another angle, off by δ
 keypoint_offset   a marker that sits off its joint, fixed in its link's frame: p + a u + b u⊥
 label_swap        a tracker that takes one keypoint for another: with probability ρ it shows (p_j, p_i)
 outliers          detections from far away: (1 − ρ) N(p, σ²) + ρ N(p, σ² + s²)
 timestamp_jitter  frames whose true moments scatter about their time stamps by δ: keypoints at p + δ ṗ + ½ δ² p̈
+varying_noise     detections that are worse in fast motion, σ (1 + slope |ṗ|) or σ (1 + slope |θ̇|), or by the tracker's
+                  confidence c, σ (1 + slope (1 − c))
 """
 
 import math
@@ -12,12 +15,14 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import ClassVar, Self
 
-from pyro.distributions import Beta, HalfNormal, LogNormal, Normal, Uniform
+import torch
+from pyro.distributions import Beta, Exponential, HalfNormal, LogNormal, Normal, StudentT, Uniform
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Values, View, quantiles
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
+from invdyn.models.effects.base import Command, Effect, Parameter, Scale, Situation, Values, View, quantiles, with_entry
+from invdyn.models.effects.motors import OfServos, answer_changed
+from invdyn.models.observation.view import Outlier, Shift, Swap
 
 
 class ClockRate(Effect):
@@ -131,3 +136,67 @@ class TimestampJitter(Effect):
         each = (p["sd"] / p["rate"].clamp_min(1e-9).sqrt()).unsqueeze(-1)  # none is mistimed at a rate of 0
         scatter = 0.75**0.5 * each**2 * view.site_acceleration.abs()
         return Shift(p["rate"], each * view.velocity, scatter)
+
+
+class EncoderOffset(OfServos):
+    """A joint's encoder shows its angle and a constant δ more.
+
+    Gravity shows it, by the weight of the links beyond the joint. Of a chain in the plane only a camera distinguishes
+    the first joint's from tilted gravity. About an axis along gravity nothing shows the first joint's.
+    """
+
+    side, sensor, order = "observation", "encoders", 1
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Offset δ, rad: nine encoders in ten are within 3°; any may be off by more."""
+        return (Parameter("offset", "rad", StudentT(3.0, 0.0, 0.02)),)
+
+    def answer(self, p: Values, now: Situation) -> Tensor | None:
+        """−S δ of a servo, within its limits."""
+        for k, servo in self.servos.items():
+            return now.at(k, answer_changed(servo, k, now, -servo.stiffness * p["offset"]))
+        return None
+
+    def angles(self, p: Values, view: View) -> Tensor:
+        """θ + δ."""
+        return with_entry(view.angles, self.place[0], self.own(view.angles) + p["offset"])
+
+
+class VaryingNoise(Effect):
+    """A keypoint's noise grows with its speed, in all directions; ``VaryingNoise("confidence")``: as c falls;
+    ``VaryingNoise("joints")``: all keypoints' equally, with the joints' speed |θ̇| over all of them.
+
+    Only the variance changes: frames at rest distinguish it from process noise.
+    """
+
+    side, site = "observation", "arm"
+    forms: ClassVar[tuple[str, ...]] = ("confidence", "joints")
+
+    def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
+        """Slope, s/m; at the speed of the outstretched arm the noise is tenfold, give or take as much.
+
+        Of the joints' speed, s/rad, likewise. Of confidence, a pure number: where there is none the noise is tenfold.
+        """
+        if self.form == "joints":
+            return (Parameter("slope", "s/rad", Exponential(scale.speed[0] / 10.0)),)
+        if self.form:
+            return (Parameter("slope", "1", Exponential(0.1)),)
+        return (Parameter("slope", "s/m", Exponential(scale.speed[0] * scale.reach / 10.0)),)
+
+    @classmethod
+    def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
+        """Every form; the speed of a single joint is its keypoint's."""
+        found = super().everywhere(body, keypoints)
+        return [effect for effect in found if effect.form != "joints" or body.num_joints > 1]
+
+    def noise(self, p: Values, view: View) -> Tensor:
+        """See the top of the file; 1 where no tracker states its confidence."""
+        slope = p["slope"].unsqueeze(-1)
+        # a floor on the root keeps the gradient at rest finite
+        if self.form == "joints":
+            speed = (view.qd.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+            return (1 + p["slope"] * speed).unsqueeze(-1)
+        if self.form:
+            return torch.ones_like(slope) if view.doubt is None else 1 + slope * view.doubt.unsqueeze(-1)
+        speed = (view.velocity.square().sum(-1, keepdim=True) + 1e-12 * view.dynamics.reach(view.body) ** 2).sqrt()
+        return 1 + slope * speed

@@ -1,9 +1,11 @@
-"""Keypoints: a camera's or a tracker's detections of a body's sites, in the plane or in space.
+"""Keypoints: a camera's or a tracker's detections of a body's sites, in the plane or in space, and of its first joint.
 
     y_p ~ F(r_p(θ), σ_p s(c)),     σ_p = "emission.keypoint_scale" (P,), length unit
+    y   ~ F(r_0 + b, σ),           σ = "emission.base_scale" (1,), of the base of a body that is carried about
 
 with s(c) of the tracker's confidence (:mod:`.confidence`), γ = "emission.confidence_slope" and
-δ = "emission.confidence_drop" (P,). Coordinates are ordered keypoint by keypoint.
+δ = "emission.confidence_drop" (P,). Coordinates are ordered keypoint by keypoint. r_0 is the first joint's place by the
+body's file and b its displacement (:mod:`..articulated.moving_base`).
 
 Shapes: P keypoints, S sites, d dimensions, those of the body.
 """
@@ -16,12 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.models.bodies.protocol import AXES, ArticulatedBody
+from invdyn.models.bodies.protocol import AXES, ArticulatedBody, axes
 from invdyn.models.observation.confidence import DEFAULT_DROP, DEFAULT_SLOPE, Confidence
 from invdyn.models.observation.mixture import MistakenRows
 from invdyn.models.observation.sensor import NoisySensor
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
-from invdyn.models.observation.view import View
+from invdyn.models.observation.view import Outlier, Shift, Swap, View
 
 MIN_NOISE, MAX_NOISE = 1e-5, 0.3
 """Of the reach: bounds of the noise estimated from a recording's jitter."""
@@ -145,3 +146,50 @@ class Keypoints(NoisySensor):
         widths = {name: value for name, value in vars(mistake).items() if name != "rate" and value.shape[-2] > 1}
         sizes: dict[str, Any] = {name: self.tracked(value) for name, value in widths.items()}
         return replace(mistake, **sizes)
+
+
+@dataclass(frozen=True)
+class BasePoint(NoisySensor):
+    """Of a body in the plane or a tree; ``along`` are its axes, known once :meth:`bound`."""
+
+    along: tuple[str, ...] = ()
+
+    name: ClassVar[str] = "base_position"
+    unit: ClassVar[str] = "length"
+
+    def bound(self, body: ArticulatedBody) -> Self:
+        """On a body, whose first joint has a place. Raises ValueError for a body of another kind."""
+        if not {"base", "position"} & {*type(body.parameters())._fields}:
+            raise ValueError(f"expected a chain in the plane or a tree, whose first joint has a place: '{body.name}'")
+        return replace(self, along=tuple(axes(body)))
+
+    @property
+    def shape(self) -> tuple[int]:
+        """(d,)."""
+        return (len(self.along),)
+
+    @property
+    def coords(self) -> dict[str, Sequence[str]]:
+        """Axes of space."""
+        return {"space": self.along}
+
+    def defaults(self, reach: float) -> dict[str, Tensor]:
+        """Noise of a fiftieth of the reach."""
+        return {"emission.base_scale": torch.full((1,), 0.02 * reach).double()}
+
+    def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
+        """The larger jitter of its coordinates."""
+        return {"emission.base_scale": np.clip(jitter.max(keepdims=True), MIN_NOISE * reach, MAX_NOISE * reach)}
+
+    def location_scale(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """The base where it is."""
+        place = first_joint(view.body)
+        loc = place if view.base is None else place + view.base[0]
+        scale = parameters["emission.base_scale"]
+        return loc, scale.expand(*scale.shape[:-1], len(self.along))
+
+
+def first_joint(numbers: Any) -> Tensor:
+    """Where the first joint is by the ``numbers`` of a chain in the plane or of a tree, (..., d) m."""
+    place: Tensor = numbers.base if hasattr(numbers, "base") else numbers.position[..., 0, :]
+    return place

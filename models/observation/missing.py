@@ -1,18 +1,39 @@
 """Missing observations drop out of the likelihood.
 
 An entry of y that is NaN contributes no term: it is masked in an independent emission and
-marginalised out of a correlated Gaussian one. It is never filled in.
+marginalised out of a correlated Gaussian one. It is never filled in. A :class:`RowDistribution` does so by itself.
 """
 
 import math
+from abc import abstractmethod
 
 import pyro
 import torch
-from pyro.distributions import Distribution, MultivariateNormal
+from pyro.distributions import Distribution, MultivariateNormal, TorchDistribution
 from torch import Tensor
 from torch.distributions import Independent, constraints
 
-from invdyn.models.observation.row_distribution import RowDistribution
+
+class RowDistribution(TorchDistribution):
+    """Base of rows, event shape (O,), that leave out missing entries by themselves; torch's own classes do not.
+
+    Each has ``loc`` (..., O), the row without mistakes, about which methods linearise.
+    """
+
+    support = constraints.real_vector
+    has_rsample = False
+    arg_constraints: dict = {}  # noqa: RUF012
+
+    @abstractmethod
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log-density (...) over the entries of rows (..., O) that are not NaN."""
+
+    @abstractmethod
+    def gaussian_rows(self, value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """W (..., O) or (..., O, O), ỹ (..., O) and c (...) with log p(y) ≈ −½|W (ỹ − h)|² + c in the row's middle h.
+
+        The value and the slope in h are equal at ``loc``; rows of W are 0 for what is missing.
+        """
 
 
 def observe(name: str, emission: Distribution, observation: Tensor) -> None:

@@ -28,8 +28,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from invdyn.models.observation.row_distribution import RowDistribution
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
+from invdyn.models.observation.missing import RowDistribution
+from invdyn.models.observation.view import Outlier, Shift, Swap
 from invdyn.models.shapes import common
 
 

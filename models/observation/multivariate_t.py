@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from invdyn.models.observation.row_distribution import RowDistribution
+from invdyn.models.observation.missing import RowDistribution
 from invdyn.models.shapes import common
 
 

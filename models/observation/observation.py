@@ -21,9 +21,8 @@ from pyro.distributions import Chi2, Distribution, Normal, StudentT
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.observation.base_point import BasePoint
 from invdyn.models.observation.encoders import Encoders
-from invdyn.models.observation.keypoints import Keypoints
+from invdyn.models.observation.keypoints import BasePoint, Keypoints
 from invdyn.models.observation.multivariate_t import MultivariateT
 from invdyn.models.observation.pixels import Pixels
 from invdyn.models.observation.sensor import NoisySensor, Sensor, SensorWithStates, size

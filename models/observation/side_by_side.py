@@ -13,8 +13,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob
-from invdyn.models.observation.row_distribution import RowDistribution
+from invdyn.models.observation.missing import RowDistribution, explained, gaussian_rows, observed_log_prob
 from invdyn.models.shapes import apply, common, join
 
 

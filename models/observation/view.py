@@ -1,6 +1,7 @@
-"""The observable quantities at a row: for effects on observations, and then for the sensors.
+"""The observable quantities at a row, for effects on observations, and then for the sensors; errors of a tracker.
 
-Shapes: joint quantities (..., K), sites and what is seen of them (..., S, d). In the plane sites are the links' tips.
+Shapes: joint quantities (..., K), sites and what is seen of them (..., S, d), P keypoints. In the plane sites are the
+links' tips.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +13,39 @@ import torch
 from torch import Tensor
 
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Detections far from their keypoint: probability (..., 1) of each keypoint in each row, and sd, m.
+
+    The sd is (..., 1, 1), the same for all, or (..., P, d) for each coordinate.
+    """
+
+    rate: Tensor
+    scale: Tensor
+
+
+@dataclass(frozen=True)
+class Shift:
+    """All keypoints of a row shifted together: probability (..., 1) of each row.
+
+    The shift is ξ ``along`` (..., P, d) m, ξ ~ N(0, 1); each coordinate has an independent error of sd ``independent``
+    (..., P, d) m in addition.
+    """
+
+    rate: Tensor
+    along: Tensor
+    independent: Tensor
+
+
+@dataclass(frozen=True)
+class Swap:
+    """Two keypoints, by number, exchanged with a probability (..., 1) in each row."""
+
+    one: int
+    other: int
+    rate: Tensor
 
 
 @dataclass

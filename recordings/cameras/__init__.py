@@ -9,11 +9,10 @@ from .formats import read_calibration
 from .projection import project, rays, undistort
 from .reprojection import reprojection
 from .scene import Length, Scene, reconstruct
-from .sides import put_in_order, sides_kept
 from .synchronise import Clock, find_offsets
 from .toml_cameras import write_calibration
 from .triangulate import Triangulated, triangulate
-from .views import Views, at_one_time, match_names, read_tracks
+from .views import Views, at_one_time, match_names, put_in_order, read_tracks, sides_kept
 
 __all__ = [
     "Adjusted",

@@ -15,8 +15,7 @@ from ..errors import InputError
 from ..recording import Recording
 from .formats import read_calibration
 from .scene import reconstruct
-from .sides import put_in_order
-from .views import Views, at_one_time, match_names, read_tracks
+from .views import Views, at_one_time, match_names, put_in_order, read_tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ def load_filmed(
     format: str | None = None,
     individual: str | None = None,
 ) -> Filmed:
-    """Read one file of tracks a camera. Exchanged sides of a person are put in order, with a warning (:mod:`.sides`).
+    """Read one file of tracks a camera. Exchanged sides of a person are put in order, with a warning (:mod:`..sides`).
 
     Args:
         files: as `match_names`.

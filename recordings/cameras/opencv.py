@@ -7,18 +7,25 @@ ROS's camera_info files have the first layout, and a `distortion_model` by name 
 
 Names of keys: OpenCV's samples calibration.cpp and stereo_calib.cpp, whose second file, with R and T, is joined by
 giving both. The unit is that of the board's squares, which the files do not state.
+
+A matrix is `camera_matrix: !!opencv-matrix` with rows, cols, dt and data. PyYAML reads it: in OpenCV's own FileStorage
+deeply nested lists crash the process (5.0.0), and ROS's files, which lack the first line, are refused.
 """
 
+import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from ..errors import InputError
+from ..budget import read_document
+from ..errors import InputError, about, first_line
+from ..limits import LIMITS
 from ..units import METRES
 from .camera import Calibration, Camera
-from .opencv_storage import read_storage
 from .toml_cameras import rotation_matrix
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
@@ -124,3 +131,68 @@ def _stereo(tree: dict[str, Any], files: Sequence[Path]) -> list[Camera]:
             raise InputError(f"{where}: a stereo pair without {matrices[0]} and {distortions[0]}")
         cameras.append(Camera(f"camera_{number}", matrix, distortion, *poses[number], size=_size(tree)))
     return cameras
+
+
+SPECIAL = re.compile(r"(?<=\.)(?:nan|inf)\b", re.IGNORECASE)
+"""OpenCV's .Nan is YAML's .nan."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with OpenCV's matrices, and without any other tag or an alias, which could stand for more than fits."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """A node; raises YAMLError for an alias."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.MarkedYAMLError(problem="an alias, which OpenCV does not write", problem_mark=mark)
+        return super().compose_node(parent, index)
+
+
+for _kind in ("matrix", "nd-matrix"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:opencv-{_kind}", _Loader.construct_mapping)
+
+
+def read_storage(path: str | Path) -> dict[str, Any]:
+    """Contents of such a file, its matrices as arrays (rows, cols).
+
+    Raises InputError for another kind of file or a long one, OSError if it cannot be opened.
+    """
+    try:
+        text = read_document(path, LIMITS.yaml).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected OpenCV's YAML or JSON ({first_line(error)})") from None
+    with about(path):
+        is_json = text.lstrip().startswith("{")
+        try:
+            # OpenCV's first line, %YAML:1.0, is none of YAML's
+            tree = (
+                json.loads(text) if is_json else yaml.load(SPECIAL.sub(_lower, re.sub("^%YAML.*", "", text)), _Loader)
+            )
+        except yaml.MarkedYAMLError as error:
+            line = error.problem_mark.line + 1 if error.problem_mark else 1
+            raise InputError(f"line {line}: expected 'key: value' as OpenCV writes it, got {error.problem}") from None
+        except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
+            raise InputError(f"broken {'JSON' if is_json else 'YAML'}: {first_line(error)}") from None
+        if not isinstance(tree, dict):
+            raise InputError("line 1: expected 'key: value' as OpenCV writes it, got something else")
+        return {key: _matrix(key, value) for key, value in tree.items()}
+
+
+def _lower(found: re.Match[str]) -> str:
+    return found[0].lower()
+
+
+def _matrix(key: str, value: Any) -> Any:
+    """An array where a table is a matrix; lists of equal lengths are matrices, too."""
+    if isinstance(value, dict) and "data" in value:
+        try:
+            rows, cols = int(value["rows"]), int(value["cols"])
+            return np.array(value["data"], dtype=np.float64).reshape(rows, cols)
+        except (KeyError, TypeError, ValueError, OverflowError):
+            raise InputError(f"{key!r} is no matrix: expected rows, cols and as many data") from None
+    if isinstance(value, list):
+        try:
+            return np.array(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            return value
+    return value

@@ -9,14 +9,18 @@
 as OpenCV's (its documentation of calib3d; sources in `camera`). A polynomial of distortion rises only up to some
 radius: past that the picture would fold back, so such points, and those behind the camera, have no pixel (NaN).
 `models/observation/pinhole.py` has the same formulas for torch; a test holds the two equal.
+
+Of rays of several cameras to N points: the points nearest to them, and the angles between them; with origins (C, 3),
+directions aim (N, C, 3) of length 1, trust (N, C), 0 where a camera does not see the point.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 
-from .camera import Camera
+from .camera import Calibration, Camera
 
 NEWTON_STEPS = 50
 """Enough for a distant start; a pixel whose ray is not found by then has none."""
@@ -164,3 +168,31 @@ def _positive_roots(polynomial: list[float]) -> np.ndarray:
     roots = np.roots(np.trim_zeros(polynomial, "f"))
     real = roots.real[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))]
     return real[real > 0]
+
+
+def nearest(origins: np.ndarray, aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """Points (N, 3) nearest to rays from origins (C, 3) along aim (N, C, 3): least squares of the distances."""
+    projector = np.where(trust > 0, trust, 0)[..., None, None] * (np.eye(3) - aim[..., :, None] * aim[..., None, :])
+    projector = np.nan_to_num(projector)
+    normal = projector.sum(1) + 1e-12 * np.eye(3)
+    return np.linalg.solve(normal, (projector @ origins[None, :, :, None]).sum(1))[..., 0]
+
+
+def start_points(calibration: Calibration, aim: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
+    """The point nearest to all rays, then those of each pair of cameras where there are more than two."""
+    origins = np.stack([camera.position for camera in calibration])
+    points = [nearest(origins, aim, trust)]
+    if len(calibration) > 2:
+        for pair in combinations(range(len(calibration)), 2):
+            both = np.all(trust[:, pair] > 0, axis=1, keepdims=True)
+            point = nearest(origins[list(pair)], aim[:, pair], trust[:, pair])
+            points.append(np.where(both, point, points[0]))
+    return points
+
+
+def widest_angle(aim: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """(N,) rad, at most π/2, between the two rays that differ most: cameras that face each other determine no depth."""
+    aim = np.where((trust > 0)[..., None], aim, np.nan)
+    cross = np.linalg.norm(np.cross(aim[:, :, None], aim[:, None]), axis=-1)
+    angle = np.arctan2(cross, np.abs((aim[:, :, None] * aim[:, None]).sum(-1)))
+    return np.nanmax(angle, axis=(1, 2))

@@ -27,8 +27,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..atomic import write_text
+from ..budget import read_toml
 from ..errors import InputError, about
-from ..toml_tables import read_toml
 from ..units import METRES
 from .camera import Calibration, Camera
 

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from . import ambiguous_points, ray_geometry
+from . import ambiguous_points
 from .camera import Calibration
-from .projection import project_with_jacobian, rays
+from .projection import project_with_jacobian, rays, start_points, widest_angle
 
 DEGREES_OF_FREEDOM = 4.0
 """ν, for the tails of a tracker's outliers."""
@@ -78,7 +78,7 @@ def triangulate(
             "no point is seen by two cameras at once: do the films overlap, in time and in what they show?"
         )
     problem = _Problem(calibration, pixels[several], trust[several])
-    pairs = starts = ray_geometry.start_points(calibration, aim[several], trust[several])
+    pairs = starts = start_points(calibration, aim[several], trust[several])
     sigma = scale or problem.first_scale(starts[0])
     if len(starts) > 1:
         starts = [starts[0], problem.most_likely(starts[1:], sigma)]
@@ -92,7 +92,7 @@ def triangulate(
                 break
         points = problem.most_likely([points, *(problem.descend(end, sigma) for end in ends)], sigma)
     points, doubtful, wider = problem.with_other_modes(points, pairs[1:], sigma)
-    found = problem.summary(points, sigma, several, ray_geometry.widest_angle(aim[several], trust[several]))
+    found = problem.summary(points, sigma, several, widest_angle(aim[several], trust[several]))
     place = np.flatnonzero(several)[doubtful]
     found.covariance[place] = np.where(np.isfinite(found.covariance[place]), wider, np.nan)
     return found

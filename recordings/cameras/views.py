@@ -2,10 +2,14 @@
 
 Pixels as a tracker writes them, y down the picture. Films whose time stamps agree are taken row by row. An offset is
 by how much a camera's stamps run ahead of the first one's at the same moment, s; its tracks are then interpolated,
-linearly and never across a gap.
+linearly and never across a gap. Left and right that a tracker has
+exchanged are put back, camera by camera (:mod:`..sides`).
+
+Shapes: T rows, C cameras, P keypoints.
 """
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +20,7 @@ from ..errors import InputError, about
 from ..limits import PLAUSIBLE
 from ..loader import read_file
 from ..recording import Recording
+from ..sides import exchanged, pairs_of, partners
 from .camera import Calibration, Camera
 from .projection import undistort
 
@@ -212,3 +217,29 @@ def _interpolated(
     low = np.where(share == 1, 0.0, (1 - share) * pixels[before])
     high = np.where(share == 0, 0.0, share * pixels[after])
     return low + high, np.minimum(confidence[before], confidence[after])
+
+
+def sides_kept(views: Views) -> tuple[Views, np.ndarray]:
+    """Tracks whose left and right are consistent, and the rows (T, C) in which they were exchanged.
+
+    Cameras are independent; keypoints without a counterpart in the names stay as they are.
+    """
+    pairs = pairs_of(views.keypoint_names)
+    exchanges = np.stack([exchanged(views.pixels[:, c], pairs) for c in range(len(views.calibration))], 1)
+    order = partners(views.keypoint_names)
+    pixels = np.where(exchanges[..., None, None], views.pixels[:, :, order], views.pixels)
+    confidence = np.where(exchanges[..., None], views.confidence[:, :, order], views.confidence)
+    return replace(views, pixels=pixels, confidence=confidence), exchanges
+
+
+def put_in_order(views: Views) -> Views:
+    """Tracks whose left and right are consistent; a UserWarning counts the corrected rows of each camera."""
+    kept, exchanges = sides_kept(views)
+    for name, rows in zip(views.calibration.names, exchanges.T, strict=True):
+        if rows.any():
+            warnings.warn(
+                f"camera {name}: left and right are exchanged in {rows.sum()} of {len(rows)} rows; they were put back",
+                UserWarning,
+                stacklevel=3,
+            )
+    return kept

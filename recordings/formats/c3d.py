@@ -20,10 +20,10 @@ import numpy as np
 
 from ..errors import InputError, readable
 from ..limits import LIMITS
+from ..naming import choose_individual
 from ..paths import check_readable
 from ..recording import Recording
 from ..units import METRES
-from .individuals import choose_individual
 
 COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "MODELED_MARKERS")
 """Parameters that list trajectories which no camera saw."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..errors import InputError, about, readable
 from ..hdf5_size import check_hdf5
+from ..naming import choose_individual
 from ..recording import Recording
-from .individuals import choose_individual
 
 SOFTWARE = {  # our name of a format: movement's
     "sleap": "SLEAP",

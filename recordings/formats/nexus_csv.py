@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import InputError, about
+from ..naming import choose_individual
 from ..recording import Recording
 from ..tables import read_lines, read_numbers
 from ..units import METRES
-from .individuals import choose_individual
 
 SECTION = "Trajectories"
 SECTIONS = (SECTION, "Devices", "Joints", "Model Outputs", "Segments", "Events")

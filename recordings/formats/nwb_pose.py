@@ -18,9 +18,9 @@ import numpy as np
 from ..errors import InputError, readable
 from ..hdf5_size import bytes_of
 from ..limits import LIMITS
+from ..naming import choose_individual
 from ..paths import check_readable
 from ..recording import Recording
-from .individuals import choose_individual
 
 SERIES = "PoseEstimationSeries"
 

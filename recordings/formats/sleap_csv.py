@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, about
+from ..naming import choose_individual
 from ..recording import Recording
 from ..tables import read_numbers, read_rows
-from .individuals import choose_individual
 
 FIRST = ("track", "frame_idx", "instance.score")
 

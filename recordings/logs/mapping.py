@@ -18,7 +18,7 @@ quantities to the joint's: a torque times it, an angle or target over it (MuJoCo
     rad = zero + sign · unit · (a + (value − c) (b − a)/(d − c)) / gear
 
 A `range` may also be the name of LeRobot's calibration, which has the range of the track's motor about its middle
-(:mod:`.lerobot_calibration`). Numbers that begin again after 4096 have `wrap = 4096`, and are one course then.
+(:mod:`.lerobot`). Numbers that begin again after 4096 have `wrap = 4096`, and are one course then.
 
 Without a mapping, tracks named as in ROS's JointState, "….elbow.position" and "….elbow.effort", are taken as their
 names state.
@@ -32,10 +32,10 @@ from typing import Any
 
 import numpy as np
 
+from ..budget import read_toml
 from ..errors import InputError, about
-from ..toml_tables import read_toml
 from ..units import METRES, RADIANS, TIMES, Units
-from .lerobot_calibration import calibrated_range
+from .lerobot import calibrated_range
 from .tracks import Episode, Needed, Track, track
 
 ENDS = (-100.0, 100.0)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from invdyn.inference import save_posterior
+from invdyn.page import write_rerun
 from invdyn.plots import quantiles
-from invdyn.rerun_file import write_rerun
 from invdyn.view import of_posterior
 
 

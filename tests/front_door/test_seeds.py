@@ -4,8 +4,8 @@ import io
 
 import pytest
 
+from invdyn.blind_commands import MAX_FIRST_SEED, secret_seed
 from invdyn.recordings import InputError
-from invdyn.seeds import MAX_FIRST_SEED, secret_seed
 
 
 def test_ways_to_give_a_seed(tmp_path, monkeypatch):

@@ -10,8 +10,7 @@ from model_cases import EVERY, F32, F64, STEPS, gappy, sets, states
 from pyro import poutine
 
 from invdyn.models import ArmModel
-from invdyn.models.observation.missing import observed_log_prob
-from invdyn.models.observation.row_distribution import RowDistribution
+from invdyn.models.observation.missing import RowDistribution, observed_log_prob
 
 
 # -- shapes ------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import pytest
 
 from invdyn.recordings import (
     InputError,
-    demo_frames,
     in_body_lengths,
     load,
     load_truth,
@@ -44,7 +43,6 @@ def test_human_arm(data_folder):
     assert (recording.num_frames, recording.length_unit) == (444, "px")
     assert recording.keypoint_names == ("shoulder", "elbow", "wrist")
     assert recording.frame_interval == pytest.approx(1 / 30)
-    assert demo_frames("human-arm") == slice(50, 250)
     about = load("human-arm", keypoints=("elbow", "wrist"), base="shoulder")
     np.testing.assert_allclose(about.keypoints, recording.keypoints - np.nanmedian(recording.keypoints[:, 0], 0))
     assert median_link_lengths(in_body_lengths(recording)).sum() == pytest.approx(1.0)

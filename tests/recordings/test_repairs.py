@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from invdyn.recordings import Recording, load, write_keypoint_csv
-from invdyn.recordings.repairs import repaired
-from invdyn.recordings.revolutions import unwrapped
+from invdyn.recordings.repairs import repaired, unwrapped
 
 TIME = np.arange(120) / 30
 NAMES = ("shoulder", "elbow", "wrist")

@@ -11,7 +11,7 @@ import pooch
 import pytest
 
 from invdyn.recordings import InputError
-from invdyn.recordings.sources import Source, fetch, round_table
+from invdyn.recordings.catalogue import Source, fetch, round_table
 
 WIDE = (
     "time, pos1\n"

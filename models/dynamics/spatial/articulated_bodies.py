@@ -33,7 +33,7 @@ from invdyn.models.dynamics.spatial.algebra import (
     transpose,
 )
 from invdyn.models.dynamics.spatial.frames import Frame, Frames, PlacedFrame
-from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.spatial.kinematics import Motion, placed, velocities
 from invdyn.models.dynamics.traced.expressions import Scalar
 
 Pair = tuple[Vector, Vector]

@@ -6,7 +6,7 @@ k to the world, 0 for joints on different branches.
 
 from invdyn.models.dynamics.spatial.algebra import Vector, add, cross
 from invdyn.models.dynamics.spatial.frames import Frame, Frames, RigidBody, joined, moved
-from invdyn.models.dynamics.spatial.motion import Motion, placed
+from invdyn.models.dynamics.spatial.kinematics import Motion, placed
 from invdyn.models.dynamics.traced.expressions import Scalar
 
 

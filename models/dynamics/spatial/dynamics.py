@@ -26,7 +26,7 @@ from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.spatial import articulated_bodies, composite_bodies, kinematics, newton_euler
 from invdyn.models.dynamics.spatial.algebra import ZERO
 from invdyn.models.dynamics.spatial.frames import Entry, frames_of
-from invdyn.models.dynamics.spatial.motion import Motion
+from invdyn.models.dynamics.spatial.kinematics import Motion
 from invdyn.models.dynamics.traced.compiled import PAYS, Compiled, has_tangent, is_plain, is_there
 from invdyn.models.dynamics.traced.expressions import Graph, Scalar
 from invdyn.models.dynamics.traced.programs import Program, program
@@ -100,23 +100,19 @@ class SpatialDynamics(Dynamics):
 
     def inertia_matrix(self, q: Tensor, p: Any) -> Tensor:
         """D(q), kg·m² (kg for slides), (..., K, K)."""
-        self._check(q=q)
         K = self.num_joints
         return self._evaluate("inertia_matrix", p, q=q).unflatten(-1, (K, K))
 
     def coriolis(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """h(q, q̇), N·m or N, (..., K)."""
-        self._check(q=q, qd=qd)
         return self._evaluate("coriolis", p, q=q, qd=qd)
 
     def gravity_load(self, q: Tensor, p: Any) -> Tensor:
         """c(q) = ∂V/∂q, N·m or N, (..., K)."""
-        self._check(q=q)
         return self._evaluate("gravity_load", p, q=q)
 
     def uniform_load(self, q: Tensor, field: Tensor, p: Any) -> Tensor:
         """The load c(q) in a gravity ``field`` (..., d) m/s² that may differ from one state to the next, (..., K)."""
-        self._check(q=q)
         return self._evaluate("uniform_load", p, q=q, field=field)
 
     def forward(
@@ -128,7 +124,6 @@ class SpatialDynamics(Dynamics):
         own_inertia: Tensor | None = None,
     ) -> Tensor:
         """q̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s² or m/s², (..., K)."""
-        self._check(q=q, qd=qd, tau=tau)
         return self._evaluate("forward", p, q=q, qd=qd, tau=tau, own=own_inertia)
 
     def response(
@@ -139,38 +134,32 @@ class SpatialDynamics(Dynamics):
         own_inertia: Tensor | None = None,
     ) -> Tensor:
         """(D + diag I_own)⁻¹ τ, rad/s² or m/s², (..., K)."""
-        self._check(q=q, tau=tau)
         return self._evaluate("response", p, q=q, tau=tau, own=own_inertia)
 
     def inverse(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
         """τ = D q̈ + h + c, N·m or N, (..., K)."""
-        self._check(q=q, qd=qd, qdd=qdd)
         return self._evaluate("inverse", p, q=q, qd=qd, qdd=qdd)
 
     def kinetic_energy(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """½ q̇ᵀ D q̇, J, (...)."""
-        self._check(q=q, qd=qd)
         return self._evaluate("kinetic_energy", p, q=q, qd=qd).squeeze(-1)
 
     def potential_energy(self, q: Tensor, p: Any) -> Tensor:
         """V(q) = −Σ m g·r of all that moves, J, zero at the world's origin, (...)."""
-        self._check(q=q)
         return self._evaluate("potential_energy", p, q=q).squeeze(-1)
 
     def keypoints(self, q: Tensor, p: Any) -> Tensor:
         """Positions of the S sites in the world's frame, m, (..., S, d)."""
-        self._check(q=q)
         return self._evaluate("keypoints", p, q=q).unflatten(-1, (len(self.tree.keypoint_names), self.space))
 
     def jacobian(self, q: Tensor, p: Any) -> Tensor:
         """∂ keypoints / ∂q, m/rad (1 for slides), (..., S, d, K)."""
-        self._check(q=q)
         shape = len(self.tree.keypoint_names), self.space, self.num_joints
         return self._evaluate("jacobian", p, q=q).unflatten(-1, shape)
 
     def site_velocities(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """ṙ = J q̇, m/s, (..., S, d)."""
-        self._check(q=q, qd=qd)
+        self._check(qd=qd)
         return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
 
     def _prepared(self, method: str, p: Any, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
@@ -182,6 +171,7 @@ class SpatialDynamics(Dynamics):
     def _evaluate(self, method: str, p: Any, **given: Tensor | None) -> Tensor:
         """Outputs (..., O) of a method's program, laid out by column."""
         joint = {name: value for name, value in given.items() if value is not None}
+        self._check(**{name: value for name, value in joint.items() if name not in ("own", "field")})
         body, traced, numbers = self._prepared(method, p, "own" in joint)
         batch = common(body.batch, *(value.shape[:-1] for value in joint.values()))
         like = joint["q"]

@@ -1,12 +1,49 @@
-"""Where things are: sites and their Jacobian, and what weight has gained, in the world's axes.
+"""What moves a tree and where things then are: velocities of all frames, sites, their Jacobian, and potential energy.
 
 ∂x/∂q_j = z_j × (x − p_j) for a turn about z_j through p_j, z_j for a shift; 0 for joints that do not carry the site
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 from invdyn.models.dynamics.spatial.algebra import UNIT, ZERO, Matrix, Vector, add, apply, cross, dot, subtract
-from invdyn.models.dynamics.spatial.frames import Frames
-from invdyn.models.dynamics.spatial.motion import Motion, placed
+from invdyn.models.dynamics.spatial.frames import Frames, PlacedFrame
 from invdyn.models.dynamics.traced.expressions import Scalar
+
+NONE: Sequence[Scalar] = ()
+
+
+class Motion(NamedTuple):
+    """Entries by coordinate."""
+
+    q: Sequence[Scalar]
+    cos: Sequence[Scalar]
+    sin: Sequence[Scalar]
+    qd: Sequence[Scalar] = NONE
+    qdd: Sequence[Scalar] = NONE
+    tau: Sequence[Scalar] = NONE
+
+
+def placed(frames: Frames, motion: Motion) -> list[PlacedFrame]:
+    """All frames at the values of their coordinates."""
+    return [
+        frame.at(motion.q[frame.coordinate], motion.cos[frame.coordinate], motion.sin[frame.coordinate])
+        for frame in frames.frames
+    ]
+
+
+def velocities(frames: Frames, motion: Motion) -> list[tuple[Vector, Vector, tuple[Vector, Vector]]]:
+    """Of each frame, in its axes: angular velocity, velocity of its origin, and the pair v × S q̇, angular first."""
+    found: list[tuple[Vector, Vector, tuple[Vector, Vector]]] = []
+    for frame, place in zip(frames.frames, placed(frames, motion), strict=True):
+        w, v = found[frame.parent][:2] if frame.parent >= 0 else (ZERO, ZERO)
+        w, v = place.outwards(w), place.outwards(add(v, cross(w, place.position)))
+        along = [0.0, 0.0, motion.qd[frame.coordinate]]
+        if frame.turns:
+            found.append((add(w, along), v, (cross(w, along), cross(v, along))))
+        else:
+            found.append((w, add(v, along), (ZERO, cross(w, along))))
+    return found
 
 
 def world_frames(frames: Frames, motion: Motion) -> list[tuple[Matrix, Vector]]:

@@ -7,7 +7,7 @@ Gravity is an acceleration −g of the world. Without accelerations, velocities 
 
 from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
 from invdyn.models.dynamics.spatial.frames import Frame, Frames
-from invdyn.models.dynamics.spatial.motion import Motion, placed, velocities
+from invdyn.models.dynamics.spatial.kinematics import Motion, placed, velocities
 from invdyn.models.dynamics.traced.expressions import Scalar
 
 

@@ -11,7 +11,7 @@ from robot_log import ARM, robot_log
 from invdyn.diagnosis.problem.clocks import camera_clock
 from invdyn.models import load_body
 from invdyn.recordings import InputError
-from invdyn.recordings.merge_log_and_camera import merge_log_and_camera
+from invdyn.recordings.joined import merge_log_and_camera
 
 
 def apart(both, ahead, begin, end):

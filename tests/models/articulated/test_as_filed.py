@@ -10,8 +10,8 @@ import torch
 from invdyn.models import ArmModel, Body, Link, planar_body
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.bodies.joint_parts import JointParts, Motor
-from invdyn.models.effects.actuator_gain import ActuatorGain
 from invdyn.models.effects.friction import LoadFriction, ViscousFriction
+from invdyn.models.effects.motors import ActuatorGain
 
 TEXT = """<mujoco><compiler angle="radian"/><option timestep="0.0002" gravity="0 0 -9.81" integrator="RK4"/>
 <worldbody><body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 {way} 0" {shoulder}/>

@@ -10,7 +10,7 @@ from invdyn.models import ArmModel, Encoders, Keypoints, Observation
 from invdyn.models.articulated.base_track import filtered, without_outliers
 from invdyn.models.articulated.moving_base import MovingBase, OnMovingBase
 from invdyn.models.effects.link_flexibility import LinkFlexibility
-from invdyn.models.observation.base_point import BasePoint
+from invdyn.models.observation.keypoints import BasePoint
 from invdyn.models.torques import Matern32
 
 F64 = torch.float64

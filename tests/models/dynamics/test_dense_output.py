@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from invdyn.models.dynamics.dense_output import Passage
+from invdyn.models.dynamics.integrators import Passage
 
 F64 = torch.float64
 

@@ -12,7 +12,7 @@ from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 from invdyn.models.effects import LabelSwap, Outliers
 from invdyn.models.observation.missing import explained, gaussian_rows, observed_log_prob, times
 from invdyn.models.observation.mixture import MistakenRows
-from invdyn.models.observation.tracker_errors import Outlier, Shift, Swap
+from invdyn.models.observation.view import Outlier, Shift, Swap
 
 F64 = torch.float64
 POINTS = 3

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras.boards import Board
-from invdyn.recordings.cameras.calibrate import calibrate
+from invdyn.recordings.cameras.calibrate import calibrate, grey_pictures
 from invdyn.recordings.cameras.intrinsics import fit_intrinsics
-from invdyn.recordings.cameras.pictures import grey_pictures
 from invdyn.recordings.cameras.projection import project
 from invdyn.recordings.cameras.rig import fit_rig
 

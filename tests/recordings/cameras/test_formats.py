@@ -10,7 +10,7 @@ from scenes import looking, ring, swinging
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras.camera import Calibration
 from invdyn.recordings.cameras.formats import read_calibration
-from invdyn.recordings.cameras.opencv_storage import read_storage
+from invdyn.recordings.cameras.opencv import read_storage
 from invdyn.recordings.cameras.projection import project
 from invdyn.recordings.cameras.toml_cameras import write_calibration
 
@@ -284,7 +284,7 @@ BAD = {
     "no intrinsic": ("c.qca.txt", QUALISYS.replace("<intrinsic", "<lens"), "is missing"),
     "YAML with a tag": ("c.yml", "%YAML:1.0\n---\na: !!python/object:os.system 1\n", "line 3"),
     "YAML with an alias": ("c.yml", "%YAML:1.0\n---\na: *b\n", "line 3"),
-    "an open list": ("c.yml", "%YAML:1.0\n---\na: [ 1, 2\n", "does not end"),
+    "an open list": ("c.yml", "%YAML:1.0\n---\na: [ 1, 2\n", "expected ',' or ']'"),
     "another YAML": ("c.yml", "- a\n- b\n", "line 1"),
     "no matrix": ("c.yml", "%YAML:1.0\n---\nwidth: 3\n", "no camera in it"),
     "short data": ("c.yml", YAML.replace("rows: 3", "rows: 4"), "'camera_matrix' is no matrix"),

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from invdyn.recordings import InputError, load
-from invdyn.recordings.formats.pandas_h5 import read_pandas_h5
+from invdyn.recordings.formats.deeplabcut import read_pandas_h5
 from invdyn.recordings.limits import Limits
 
 tables = pytest.importorskip("tables")

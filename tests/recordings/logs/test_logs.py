@@ -455,7 +455,7 @@ def test_a_database_outside_of_the_folder_is_not_read(tmp_path, how):
 def test_a_query_without_end_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("rosbags")
     path = bag(tmp_path / "bag")
-    monkeypatch.setattr("invdyn.recordings.logs.bag_database.LIMITS", Limits(query_steps=5))
-    monkeypatch.setattr("invdyn.recordings.logs.bag_database.STEPS_BETWEEN_CHECKS", 1)
+    monkeypatch.setattr("invdyn.recordings.logs.ros_bag.LIMITS", Limits(query_steps=5))
+    monkeypatch.setattr("invdyn.recordings.logs.ros_bag.STEPS_BETWEEN_CHECKS", 1)
     with pytest.raises(InputError, match=r"bag\.db3: its tables take more than 5e\+00 steps"):
         recordings_of(path, JOINTS)

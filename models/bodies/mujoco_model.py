@@ -1,4 +1,6 @@
-"""What an MJCF file has and switches off: flags of its `<option>`, and groups of actuators (XML reference: flag).
+"""What a compiled MJCF switches off, and MuJoCo's warnings, which it else prints and writes to a log where it runs.
+
+Off are what flags of its `<option>` and groups of actuators say (XML reference: flag).
 
     frictionloss, limit, constraint    dry friction and limits; a disabled constraint is without both, and equalities
     spring, damper                     passive forces of joints
@@ -8,6 +10,8 @@
 Gravity, contacts and the damping of Euler's steps are read where they are used.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -45,3 +49,14 @@ def acts(mujoco: Any, model: Any, actuator: int) -> bool:
         return False
     group = int(model.actuator_group[actuator])
     return not 0 <= group < 31 or not int(model.opt.disableactuator) >> group & 1
+
+
+@contextmanager
+def kept_warnings(mujoco: Any) -> Iterator[list[str]]:
+    """A list that fills with what MuJoCo warns of, in the module ``mujoco``; what was there before takes over again."""
+    before, said = mujoco.get_mju_user_warning(), list[str]()
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        yield said
+    finally:
+        mujoco.set_mju_user_warning(before)
