@@ -29,6 +29,7 @@ COMMANDS = {
     "panda": "panda.py --seconds 1 --seeds 1 --results build/panda.jsonl",
     "cost": "cost.py",
     "cost_long": "cost.py --long 1000 10000",
+    "users_clock": "users_clock.py",
     "live": "live.py",
     "calibration": "calibration.py",
     "parameter_calibration": "parameter_calibration.py",

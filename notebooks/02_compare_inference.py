@@ -190,7 +190,7 @@ for name, values in ranks.items():
 # %%
 arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
 try:
-    film = load_recording("human-arm", arm, scale="body").select(50, 150)
+    film = load_recording("human-arm", arm, scale="body").select(50, 110)
 except InputError as error:
     film = None
     print(f"The recording cannot be had here, so what follows is skipped: {error}")

@@ -51,6 +51,7 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     assert named["shrinkage"]["by_effect"] == {}
 
 
+@pytest.mark.long
 def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
     """It is tried there before anybody knows whether it is the best; only the best one's failure is the user's."""
     recording, searched = rubbing()

@@ -84,6 +84,7 @@ def loaded_arm():
     return play(ARM, 1.5, payload=0.2, cameras=0.001)
 
 
+@pytest.mark.long
 def test_a_payload_is_found_said_drawn_and_written_into_the_file(body, tmp_path):
     log = loaded_arm()
     found = diagnose(log, body, without=REST, most=1)

@@ -95,6 +95,7 @@ def test_a_process_that_dies_is_one_line():
         side_by_side([partial(pid_once, begun.wait), dies], 2)
 
 
+@pytest.mark.long
 def test_a_diagnosis_is_the_same_whatever_the_number_of_workers():
     two = diagnose(recorded(DAMPING), PENDULUM, without=MANY, workers=2)
     assert json.dumps(two.to_json()) == json.dumps(diagnosed().to_json())

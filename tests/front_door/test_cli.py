@@ -275,6 +275,7 @@ def test_a_known_recording_by_its_name(folder, run, with_human_arm):
     assert Path("f.gif").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_demo_leaves_everything_and_says_where(folder, run, contents):
     outcome = run("demo", "--out", "shown/here")
     assert outcome.exit_code == 0, outcome.output

@@ -76,6 +76,7 @@ TRACKS = ("cam1.csv", "cam2.csv", "cam3.csv")
 CALL = ("--calibration", "calibration.toml", "--body", "rod.toml", "--out", "posterior.nc")
 
 
+@pytest.mark.long
 def test_infer(folder, run):
     outcome = run("infer", *TRACKS, *CALL, "--method", "laplace", "--out", "torques.csv", "--frames", "0:14")
     assert outcome.exit_code == 0, outcome.output

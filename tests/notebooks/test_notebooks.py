@@ -220,6 +220,7 @@ def test_a_notebook_says_what_one_learns_and_folds_its_answers(file):
     assert all(cell.metadata["jupyter"] == {"source_hidden": True, "outputs_hidden": True} for cell in answers)
 
 
+@pytest.mark.long
 def test_three_d_holds_what_it_says():
     """The mouse is there or simulated; either way its hidden frames are predicted."""
     notebook = jupytext.read(FOLDER / "05_three_d.py")

@@ -108,6 +108,7 @@ def nuts_of_last_state(model, y):
     return draws.mean(), draws.std(), min(idata["sample_stats"].attrs["ess_bulk"], draws.size)
 
 
+@pytest.mark.quick("Counts")
 @pytest.mark.parametrize("kind", [Counts, HeavyTailed, Multiplicative, Switches, Volatility])
 def test_nuts_samples_any_model_with_a_gradient(kind):
     """Dynamics that are not Gaussian, too, or whose noise depends on the state; the last state is that of a grid."""
@@ -119,6 +120,7 @@ def test_nuts_samples_any_model_with_a_gradient(kind):
     assert mean == pytest.approx(exact, abs=4 * sd / size**0.5)
 
 
+@pytest.mark.long
 def test_nuts_samples_where_rows_see_the_state_before():
     model = Leverage(6)
     y = model.simulate(seed=2)[1]
