@@ -7,8 +7,9 @@
 The others are those of :mod:`.functionals`: peak, peak_time, impulse, peak_rate, work, mean_power. Times count from the
 trial's first row, as recordings begin at other times of their clocks. A quantity that more
 than half of the draws do not have is missing (NaN); else it is stated of the draws that have it. A peak whose sign
-differs between draws has two places, and its mean is neither: where the less frequent sign has a share of `BOTH_SIGNS`
-or more, peak, its time and the onset are missing, too.
+differs between draws has two places, and its mean is neither: peak, its time, rate and onset are stated of the draws
+with the more frequent sign. Where this has a share of less than `ONE_SIGN` they are missing, too. It is
+not larger, as small peaks are those that would be left out, which raises the average of the others.
 
 Shapes: S draws, T rows, K joints, Q quantities.
 """
@@ -21,7 +22,7 @@ import numpy as np
 from invdyn.inference.posterior.functionals import functionals
 from invdyn.inference.posterior.problem import DRAWS
 
-STARTED, BOTH_SIGNS = 0.1, 0.05
+STARTED, ONE_SIGN = 0.1, 0.75
 OF_PEAK = ("peak", "peak_time", "peak_rate", "onset")
 STATISTICS = ("mean", "sd", "q05", "median", "q95")
 """Of draws, in the order of the last dimension of :func:`statistics`."""
@@ -68,12 +69,13 @@ def statistics(values: Mapping[str, tuple[np.ndarray, str]]) -> np.ndarray:
     """(Q, K, 5) of :data:`STATISTICS` over draws; NaN where a quantity is missing, see the top of the file."""
     peak = values["peak"][0]
     positive = (peak > 0).mean(0)
-    torn = np.minimum(positive, 1 - positive) >= BOTH_SIGNS
+    usual = (peak > 0) == (positive > 0.5)
     rows = []
     for name, (drawn, _) in values.items():
-        there = np.isfinite(drawn)
-        missing = (there.mean(0) <= 0.5) | (torn if name in OF_PEAK else False)
-        own = np.where(missing, 0.0, drawn)
+        of_peak = name in OF_PEAK
+        there = np.isfinite(drawn) & (usual if of_peak else True)
+        missing = (there.mean(0) <= 0.5) | (of_peak & (usual.mean(0) < ONE_SIGN))
+        own = np.where(missing, 0.0, np.where(there, drawn, np.nan))
         numbers = [np.nanmean(own, 0), np.nanstd(own, 0), *np.nanquantile(own, (0.05, 0.5, 0.95), axis=0)]
         rows.append(np.where(missing[:, None], np.nan, np.stack(numbers, -1)))
     return np.stack(rows)

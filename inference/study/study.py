@@ -35,7 +35,7 @@ FOUND = 0.975
 def estimates(rows: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     """Medians and errors (n,) of rows of trials: half a 90 % interval over that of the standard normal.
 
-    Mean and sd would not do: of a hundred peaks, three with the other sign double the sd.
+    A mean and a sd would be those of a few draws far off.
     """
     return rows["median"].to_numpy(), (rows["q95"] - rows["q05"]).to_numpy() / (2 * Z90)
 

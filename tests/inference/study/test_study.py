@@ -332,11 +332,13 @@ def test_what_is_in_doubt_is_said(tmp_path):
     assert f"t0: {gap}" in view_of(tmp_path / "out").doubts
 
 
-def test_a_few_peaks_of_the_other_sign_do_not_widen_a_trials_error():
-    """Three of a hundred draws, which a mean and a sd would not leave alone."""
-    peaks = np.random.default_rng(0).normal(2.0, 0.1, (4000, 1))
-    turned = np.where(np.arange(4000)[:, None] % 100 < 3, -peaks, peaks)
-    numbers = pd.DataFrame(np.stack([statistics({"peak": (each, "N·m")})[0, 0] for each in (peaks, turned)]))
+def test_a_few_draws_far_off_do_not_widen_a_trials_error():
+    """Three of a hundred, which a mean and a sd would not leave alone."""
+    drawn = np.random.default_rng(0).normal(2.0, 0.1, (4000, 1))
+    some = np.where(np.arange(4000)[:, None] % 100 < 3, 3 * drawn, drawn)
+    numbers = pd.DataFrame(
+        np.stack([statistics({"peak": (drawn, "N·m"), "work": (each, "J")})[1, 0] for each in (drawn, some)])
+    )
     middle, error = estimates(numbers.set_axis(STATISTICS, axis=1))
     assert middle == pytest.approx([2.0, 2.0], abs=0.01)
     assert error[0] == pytest.approx(0.1, rel=0.05)
