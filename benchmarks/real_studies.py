@@ -1,8 +1,8 @@
 """Real recordings as studies: do they run, what do they say beside sensors, how long do they take.
 
-    ibm     ten swings of a toy double pendulum, the last 1.5 s at 200 rows/s: no motor, so the torque is its friction
-    dfki    nine runs of a real two-joint arm, 2 s of keypoints made of its encoders, 60 frames/s and 3 mm
-    kuka    two trials of a KUKA iiwa from its seven encoders, 2 s at 20 rows/s
+    ibm     ten swings of a toy double pendulum, the last 1 s at 100 rows/s: no motor, so the torque is its friction
+    dfki    nine runs of a real two-joint arm, 1 s of keypoints made of its encoders, 60 frames/s and 3 mm
+    kuka    two trials of a KUKA iiwa from its seven encoders, 1 s at 20 rows/s
 
 Each is a table of files that `invdyn trials` reads. A trial's impulse ∫ τ dt stands beside that of its sensors (of the
 toy: zero), and so does the study's average. Torques of sensors are hidden.
@@ -24,12 +24,12 @@ from sensor_cases import made
 import invdyn
 from invdyn.recordings import load, write_table
 
-SECONDS = 2
+SECONDS = 1
 
 
 def swings():
     """Body, and by trial a recording and its torque (T, K)."""
-    cases = {f"swing-{n}": load(f"ibm-{n}").at(slice(-600, None, 2)) for n in range(10)}
+    cases = {f"swing-{n}": load(f"ibm-{n}").at(slice(-400, None, 4)) for n in range(10)}
     return PENDULUM, {name: (own, np.zeros((len(own.time), 2))) for name, own in cases.items()}
 
 

@@ -78,6 +78,7 @@ Device = Annotated[str, Setting("where particle filters compute: cpu or cuda")]
 RECIPES: dict[str, dict[str, Any]] = {
     "mouse": {"kinematic": True, "learn": ["lengths"], "noise": "student_t"},
     "reach": {"noise": "student_t"},
+    "panda": {"hide_torque": True, "method": "laplace"},
 }
 """Name -> option, by its name in `infer` -> value."""
 

@@ -25,32 +25,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from invdyn.inference import evidence_note, pooled
+from invdyn.inference.study.figure import COLORS, STYLE
 from invdyn.recordings import atomic_path
 
-# Okabe and Ito's colours: the colour-blind can distinguish them too.
-BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#AA4499"
-ORANGE, SKY, PINK = "#E69F00", "#56B4E9", "#CC79A7"
-METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, PINK)
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = COLORS
+METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#CC79A7")
 INK, GREY = "#111111", "#777777"
-STYLE: dict[Any, Any] = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#999999",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e9e9e9",
-    "grid.linewidth": 0.6,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "text.parse_math": False,  # a joint may be called $\\frac
-    "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
-}
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNSEEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0}
 FEW: dict[str, Any] = {"facecolor": "#cc3311", "edgecolor": "none", "ymax": 0.03, "zorder": 4}

@@ -3,27 +3,39 @@
 The dark band is the 90 % interval of the average, the pale one that of a further trial.
 """
 
+from typing import Any
+
 import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 
 # Okabe and Ito's colours: the colour-blind can distinguish them too.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
-STYLE = {
+STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.edgecolor": "#999999",
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "#e9e9e9",
-    "text.parse_math": False,
-    "font.family": "DejaVu Sans",
+    "grid.linewidth": 0.6,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "text.parse_math": False,  # a joint may be called $\\frac
+    "font.family": "DejaVu Sans",  # comes with matplotlib: every machine draws the same
 }
 
 
 def plot_averages(averages: pd.DataFrame, align: str, factor: str) -> Figure:
     """The figure of what :func:`.average_curves` returned."""
     joints, levels = averages["joint"].unique(), sorted(averages[factor].unique())
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 0.8 + 2.3 * len(joints)), layout="constrained")
         panels = figure.subplots(len(joints), 1, squeeze=False, sharex=True)[:, 0]
         for panel, joint in zip(panels, joints, strict=True):
@@ -37,7 +49,7 @@ def plot_averages(averages: pd.DataFrame, align: str, factor: str) -> Figure:
             panel.axvline(0.0, color="#777777", lw=0.9, ls=":")
             unit = averages.loc[averages["joint"] == joint, "unit"].iloc[0]
             panel.set_ylabel(f"{joint} ({unit})")
-        panels[0].legend(frameon=False, fontsize=8.5, ncols=min(3, len(levels)), loc="best")
-        panels[0].set_title("Torques: average (dark) and a further trial (pale), 90 %", fontsize=9.5, loc="left")
+        panels[0].legend(ncols=min(3, len(levels)), loc="best")
+        panels[0].set_title("Torques: average (dark) and a further trial (pale), 90 %", loc="left")
         panels[-1].set_xlabel(f"time after {align} (s)")
     return figure
