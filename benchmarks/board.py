@@ -37,6 +37,7 @@ from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.closing_measures import Closing, measured_regression
 from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.report.sentences import regression_words, verdict
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Body, Link, load_body, planar_body
 from invdyn.recordings import Recording, load, load_truth
 
@@ -57,6 +58,7 @@ WAM = """<mujoco model="wam"><compiler angle="radian"/><worldbody>
 <inertial pos="-.0424 0 .2276" mass="4.2" fullinertia=".0727 .0727 .01 0 0 0"/>
 <site name="wrist" pos="-.045 0 .3"/></body></body></worldbody>
 <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator></mujoco>"""
+ROBOTS = DEFAULT.replace(tolerance=DEFAULT.evidence.robot_tolerance)
 Given = tuple[Recording, Body, bool]
 """Recording, body, and whether it is passive."""
 Published = dict[tuple[str, str], float]
@@ -155,7 +157,7 @@ def row(name: str, made: Callable[[], tuple[Given, Published]], budget: float | 
     """Cells of one recording; with a ``budget``, s, the diagnosis too."""
     (recording, body, passive), known = made()
     start = time.process_time()
-    regression = regress(recording, body, passive=passive)
+    regression = regress(recording, body, passive=passive, rules=ROBOTS)
     spent = time.process_time() - start
     half = "tuning" if name in TUNING else "other"
     if regression is None:

@@ -15,6 +15,12 @@ it to the next. So the sd of each β is at least that of a jackknife over F fold
 
     s² = (F − 1)/F Σ_f (β_(−f) − mean)²,     F − 1 degrees of freedom                    (Shao & Wu 1989)
 
+Neither shows a torque that no effect explains and that looks like one from the first row to the last. Up to the size t_j
+that is tolerated at joint j it is not looked for. It shifts no sum of coefficients by more than one sd of A⁻¹ C A⁻¹
+(Cauchy's inequality), which is added as for a discrepancy (Kennedy & O'Hagan 2001):
+
+    C = R Σ_j Σ_t (w t_j/σ_j²)² x xᵀ
+
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
@@ -160,7 +166,7 @@ def _covariance(
     tau: np.ndarray,
     chosen: Chosen,
 ) -> np.ndarray:
-    """A⁻¹ B A⁻¹ (p, p) over blocks, at least that of rows that count, and of the jackknife; ``gram`` is XᵀWX."""
+    """A⁻¹ (B + C) A⁻¹ (p, p); of B at least that of rows that count, and of the jackknife; ``gram`` is XᵀWX."""
     columns, noise = list(chosen.columns), chosen.noise
     if not columns:
         return np.zeros((0, 0))
@@ -175,7 +181,8 @@ def _covariance(
     jackknife = (len(without) - 1) * without.var(0)
     least = np.maximum(np.diag(_inverse((own / tau[:, None, None]).sum(0) + prior)), jackknife)
     grow = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-300), 1.0))
-    return np.asarray(robust * grow[:, None] * grow)
+    worst = effects.columns.sums(effects.missing, len(weights) * (weights / noise**2 * choice.tolerated) ** 2)[0]
+    return np.asarray(robust * grow[:, None] * grow + inverse @ worst.sum(0)[columns][:, columns] @ inverse)
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

@@ -134,6 +134,15 @@ def test_noise_in_encoders_biases_nothing():
         assert abs(own.mean() - truth) < 2 * own.std(ddof=1) / np.sqrt(6) + 0.03 * truth
 
 
+def test_a_torque_that_is_not_looked_into_is_in_the_intervals():
+    """Of 2 % of what the elbow needs, much like dry friction: it takes that for more of it."""
+    recording = recorded(20, lambda m: friction(m) + np.array([0.0, 0.02]) * np.tanh(m.qd / 0.2), seconds=6.0)
+    for tolerance, inside in ((0.0, False), (0.03, True)):
+        result = regress(recording, BODY, rules=DEFAULT.replace(tolerance=tolerance))
+        low, high = found(result)["coulomb_friction", "elbow", "torque"].interval_90
+        assert (low < 0.25 < high) == inside
+
+
 @pytest.mark.long
 def test_intervals_hold_the_truth():
     """90 % intervals of four numbers in eight recordings: .7 of 32 is a binomial's chance of one in a thousand."""
@@ -393,7 +402,7 @@ def test_numbers_in_the_torque_of_a_servo_of_unknown_gain_are_as_unsure_as_that(
     far = ServoGains(np.array([40.0, 40.0]))
     along = expected(dynamics, body, motion, False)
     effects = linear_effects(body, motion, along, False, DEFAULT, cutoff_of(motion), far.factor)
-    fit = weighted_fit(effects, motion, DEFAULT, ("viscous_friction", "coulomb_friction"))
+    fit = weighted_fit(effects, motion, DEFAULT.replace(tolerance=0.0), ("viscous_friction", "coulomb_friction"))
     numbers = {(each.effect, each.place): each for each in of_joints(effects, fit, far)}
     gain = numbers["actuator_gain", "elbow"]
     assert 1 + gain.value == pytest.approx(1 / 40)
