@@ -5,14 +5,15 @@ And encoders: angles, from where each counts.
 A frame stamped t shows, through the effects that are present and in this order,
 
     when     t' = t − δ (latency) + ρ y (rolling shutter, y the row's height) + jitter: a share of the frames
-             (rate) is mistimed, with a standard deviation of sd over all frames
+             (rate) is mistimed, normally or uniformly, with a standard deviation of sd over all frames
     marker   p' = p + R(φ) (along, across)                  φ the link's absolute angle
              p' = p − κ a                                   soft tissue, a the keypoint's acceleration; or as it
              p' = p + δ,  δ̈ + 2ζω δ̇ + ω² δ = −a            swings, ω = 1/√κ
     optics   (x, y) → (x cos ψ, y) D / (D + x sin ψ)        yaw, from the distance D
              p' = R(angle) p,   p' = s p,   p' = p (1 + k₁ |p|²)      about the frame's origin, yaw and lens also about
-                                                            any centre
-    tracker  p + σ (1 + slope |v|) noise;  two labels exchanged;  an outlier near p
+             p' = p / (1 − k₁ |p|²)                         any centre; the division model: Fitzgibbon, CVPR 2001
+    tracker  p + σ (1 + slope |v|) noise, or σ √(1 + (slope |v|)²);  two labels exchanged;  an outlier near p, or
+             anywhere within reach; these for a frame, or for several in a row (:mod:`.tracker`)
 
 The rate of the clock is no matter of the picture: it scales every time in the table, `cases` sees to it.
 
@@ -25,15 +26,21 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from invdyn.blindcheck.simulator import Trajectory
+from invdyn.blindcheck.tracker import mistaken, unit_noise
 
 Effect = tuple[str, int | None, Mapping[str, float]]
 """Name, the keypoint's number (0 is the first tip) where it has one, and parameters."""
 
 
 def film(
-    trajectory: Trajectory, time: np.ndarray, effects: Sequence[Effect], noise: float, seed: Sequence[int]
+    trajectory: Trajectory,
+    time: np.ndarray,
+    effects: Sequence[Effect],
+    noise: float,
+    seed: Sequence[int],
+    law: str = "normal",
 ) -> np.ndarray:
-    """Points (T, P, 2), m, as recorded at true times `time` (T,) s, with Gaussian noise of sd `noise` m.
+    """Points (T, P, 2), m, as recorded at true times `time` (T,) s, with noise of a `law` and of sd `noise` m.
 
     Every effect draws from a stream of its own, so that leaving one out, or noise 0, changes nothing else.
     """
@@ -54,19 +61,23 @@ def film(
     if "varying_noise" in present:
         velocity = np.gradient(tracks, trajectory.time, axis=0)
         speed = np.linalg.norm(_at(trajectory.time, velocity, when), axis=-1)
-        sd = sd * (1 + present["varying_noise"][1]["slope"] * speed)
-    points = points + sd[..., None] * stream("noise").standard_normal(points.shape)
+        grown = present["varying_noise"][1]
+        squares = grown.get("slope_in_squares")
+        sd = sd * (1 + grown["slope"] * speed if squares is None else np.sqrt(1 + (squares * speed) ** 2))
+    points = points + sd[..., None] * unit_noise(points.shape, law, stream("noise"), seed)
     if "label_swap" in present:
-        place, parameters = present["label_swap"]
-        place = place or 0
-        one, other = place + 1, (place if place else 2)  # a tip and its neighbour; the base is never mistaken
-        swapped = stream("label_swap").random(len(points)) < parameters["rate"]
+        place, p = present["label_swap"]
+        one, other = (place or 0) + 1, place or 2  # a tip and its neighbour; the base is never mistaken
+        swapped = mistaken(stream("label_swap"), (len(points),), p["rate"], p.get("in_a_row", 1))
         points[np.ix_(swapped, np.array([one, other]))] = points[np.ix_(swapped, np.array([other, one]))]
     if "outliers" in present:
-        _, parameters = present["outliers"]
-        rng = stream("outliers")
-        outlying = rng.random(points.shape[:2]) < parameters["rate"]
-        points += outlying[..., None] * parameters["scale"] * rng.standard_normal(points.shape)
+        p, rng = present["outliers"][1], stream("outliers")
+        outlying = mistaken(rng, points.shape[:2], p["rate"], p.get("in_a_row", 1))[..., None]
+        if "within" in p:
+            anywhere = points[:, :1] + rng.uniform(-p["within"], p["within"], points.shape)
+            points = np.where(outlying, anywhere, points)
+        else:
+            points += outlying * p["scale"] * rng.standard_normal(points.shape)
     return points
 
 
@@ -78,7 +89,9 @@ def capture_times(time: np.ndarray, present: Mapping, stream: Callable[[str], np
     if "timestamp_jitter" in present:
         parameters, rng = present["timestamp_jitter"][1], stream("timestamp_jitter")
         mistimed = rng.random(len(time)) < parameters["rate"]
-        when = when + mistimed * parameters["sd"] / np.sqrt(parameters["rate"]) * rng.standard_normal(len(time))
+        uniform = parameters.get("uniform")
+        off = rng.uniform(-np.sqrt(3), np.sqrt(3), len(time)) if uniform else rng.standard_normal(len(time))
+        when = when + mistimed * parameters["sd"] / np.sqrt(parameters["rate"]) * off
     return when
 
 
@@ -125,9 +138,10 @@ def optics(points: np.ndarray, present: Mapping) -> np.ndarray:
     if "camera_scale" in present:
         points = points * present["camera_scale"][1]["scale"]
     if "lens_distortion" in present:
-        k1, centre = present["lens_distortion"][1]["k1"], _centre(present["lens_distortion"][1])
-        from_it = points - centre
-        points = centre + from_it * (1 + k1 * (from_it**2).sum(axis=-1, keepdims=True))
+        p = present["lens_distortion"][1]
+        from_it = points - (centre := _centre(p))
+        square = (from_it**2).sum(axis=-1, keepdims=True)
+        points = centre + from_it * (1 / (1 - p["division"] * square) if "division" in p else 1 + p["k1"] * square)
     return points
 
 
@@ -136,12 +150,13 @@ def _centre(parameters: Mapping[str, float]) -> np.ndarray:
 
 
 def _at(time: np.ndarray, tracks: np.ndarray, when: np.ndarray) -> np.ndarray:
-    """Tracks (N+1, P, 2) on an even grid, interpolated linearly at `when` (T, P)."""
+    """Tracks (N+1, P, 2) on an even grid at `when` (T, P), by local cubics (Catmull & Rom 1974)."""
     place = np.clip((when - time[0]) / (time[1] - time[0]), 0.0, len(time) - 1.0)
     low = np.minimum(place.astype(int), len(time) - 2)
-    part = (place - low)[..., None]
-    point = np.arange(tracks.shape[1])
-    return (1 - part) * tracks[low, point] + part * tracks[low + 1, point]
+    x, point = (place - low)[..., None], np.arange(tracks.shape[1])
+    weights = -x + 2 * x**2 - x**3, 2 - 5 * x**2 + 3 * x**3, x + 4 * x**2 - 3 * x**3, x**3 - x**2
+    near = (tracks[np.clip(low + n, 0, len(time) - 1), point] for n in (-1, 0, 1, 2))
+    return np.asarray(sum(w * p for w, p in zip(weights, near, strict=True)) / 2)
 
 
 def readings(trajectory: Trajectory, when: np.ndarray, effects: Sequence[Effect]) -> np.ndarray:

@@ -14,13 +14,12 @@ import numpy as np
 from invdyn.blindcheck import camera
 from invdyn.blindcheck import effects as injected
 from invdyn.blindcheck.effects import EFFECTS, Injected
-from invdyn.blindcheck.pinocchio import camera as second_camera
 from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
 from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
-from invdyn.blindcheck.pinocchio.unlisted import UNLISTED as OTHER_UNLISTED
 from invdyn.blindcheck.setting import PLANE, Setting
-from invdyn.blindcheck.simulator import World
+from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.tracker import noise_law
 from invdyn.blindcheck.trees import SPACE
 from invdyn.blindcheck.unlisted_effects import UNLISTED
 
@@ -56,6 +55,13 @@ class Engine:
         return f"{self.name} {version(self.package)}"
 
 
+def film_of_any_law(
+    trajectory: Trajectory, time: np.ndarray, effects: Sequence[camera.Effect], noise: float, seed: Sequence[int]
+) -> np.ndarray:
+    """`camera.film` with a tracker whose noise has the law of the reality's seed."""
+    return camera.film(trajectory, time, effects, noise, seed, noise_law(seed))
+
+
 MUJOCO = Engine(
     "mujoco",
     "mujoco",
@@ -82,9 +88,9 @@ PINOCCHIO = Engine(
     PLANE,
     {name: replace(each, size=partial(drawn_form, name), install=FORMS.get(name)) for name, each in EFFECTS.items()},
     SecondWorld,
-    OTHER_UNLISTED,
-    second_camera.film,
-    second_camera.noise_law,
+    UNLISTED,
+    film_of_any_law,
+    noise_law,
 )
 ENGINES = {engine.name: engine for engine in (MUJOCO, PINOCCHIO, IN_SPACE)}
 """By name; the first is the default."""

@@ -95,6 +95,43 @@ class World:
         """Register `act(t, model, data)`, called before each step; it adds to `data.qfrc_applied`."""
         self._step_hooks.append(act)
 
+    def law(self, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:
+        """Register a joint's torque(t, q, qd), N·m, at the body's angles q and velocities qd (K,)."""
+
+        def act(t: float, model: Any, data: Any) -> None:
+            driven = [self.hinge(k) for k in range(self.num_joints)]
+            # the force is constant over the step, so it is taken at the middle, from the last acceleration
+            half = model.opt.timestep / 2
+            q, qd = data.qpos[driven] + half * data.qvel[driven], data.qvel[driven] + half * data.qacc[driven]
+            data.qfrc_applied[driven[joint]] += torque(t + half, q, qd)
+
+        self.on_step(act)
+
+    def dry(self, joint: int, level: Callable[[float, float, float], float]) -> None:
+        """Register dry friction of a level(q, qd, load), N·m; the load is what the motor would have to carry."""
+        self.on_spec(lambda spec: set_part(spec.joint(self.pieces[self.hinge(joint)].hinge), {"frictionloss": 1e-9}))
+
+        def act(t: float, model: Any, data: Any) -> None:
+            h = self.hinge(joint)
+            load = data.qfrc_actuator[h] + data.qfrc_bias[h]  # one step old: ½ ms
+            model.dof_frictionloss[h] = max(level(data.qpos[h], data.qvel[h], load), 1e-9)
+
+        self.on_step(act)
+
+    def drive(self, joint: int, of: Callable[[float, float, bool], float]) -> None:
+        """Register what a joint's motor makes of a command, of(u, seconds, whether it is the first), in turn."""
+        self.on_command(lambda i, s, u: np.where(np.arange(len(u)) == joint, of(float(u[joint]), s, i == 0), u))
+
+    def each_step(self, joint: int, act: Callable[[float, float, float], None]) -> None:
+        """Register act(t, seconds, qd), called before each step with a joint's velocity."""
+        self.on_step(lambda t, model, data: act(t, model.opt.timestep, data.qvel[self.hinge(joint)]))
+
+    def hang(self, mass: float, length: float, inertia: float, stiffness: float, damping: float) -> None:
+        """Hang a weight on a sprung hinge of its own at the last tip."""
+        last, far = self.links[-1], np.array([length, 0.0, 0.0])
+        self.pieces.append(Piece("hung", last, last.tip, mass, far, inertia * np.eye(3)))
+        self.on_spec(lambda spec: set_part(spec.joint("hung"), {"stiffness": stiffness, "damping": damping}))
+
     @property
     def possible(self) -> bool:
         """Whether every piece has a mass, and moments that obey the triangle inequality.

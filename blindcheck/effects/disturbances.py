@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import applied, set_joint
+from invdyn.blindcheck.effects.parts import set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, natural_hz
 from invdyn.blindcheck.simulator import World, set_part
@@ -28,7 +28,7 @@ def _torque_ripple(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict
 @mechanism(units={"amplitude": "N·m", "periods": "1", "phase": "rad"}, size=_torque_ripple)
 def torque_ripple(world: World, joint: int, amplitude: float, periods: float, phase: float) -> None:
     """A sin(N θ + φ)."""
-    applied(world, joint, lambda t, q, qd: amplitude * np.sin(periods * q[joint] + phase))
+    world.law(joint, lambda t, q, qd: amplitude * np.sin(periods * q[joint] + phase))
 
 
 def _external_push(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import applied, set_joint
+from invdyn.blindcheck.effects.parts import set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, sign
 from invdyn.blindcheck.simulator import World, set_part
@@ -74,13 +74,7 @@ def stribeck_friction(
     """−(τc + (τs − τc) exp(−(θ̇/ωs)²)) sgn θ̇; through bristles, where they have a stiffness."""
     if bristle_stiffness is not None and bristle_damping is not None:
         return bristles(world, joint, coulomb, static, velocity, bristle_stiffness, bristle_damping)
-    set_joint(world, joint, frictionloss=static)
-
-    def act(t: float, model: Any, data: Any) -> None:
-        h = world.hinge(joint)
-        model.dof_frictionloss[h] = coulomb + (static - coulomb) * np.exp(-((data.qvel[h] / velocity) ** 2))
-
-    world.on_step(act)
+    world.dry(joint, lambda q, qd, load: coulomb + (static - coulomb) * np.exp(-((qd / velocity) ** 2)))
 
 
 def bristles(
@@ -110,15 +104,7 @@ def _load_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict
 @mechanism(units={"coefficient": "1"}, size=_load_friction)
 def load_friction(world: World, joint: int, coefficient: float) -> None:
     """−k |τset_motor − τ_external| sgn θ̇, with τ_external what gravity, Coriolis and centrifugal forces exert."""
-    set_joint(world, joint, frictionloss=1e-9)
-
-    def act(t: float, model: Any, data: Any) -> None:
-        h = world.hinge(joint)
-        # qfrc_bias is the load that the motor would have to carry: minus what they exert. One step old: ½ ms
-        load = data.qfrc_actuator[h] + data.qfrc_bias[h]
-        model.dof_frictionloss[h] = max(coefficient * abs(load), 1e-9)
-
-    world.on_step(act)
+    world.dry(joint, lambda q, qd, load: coefficient * abs(load))
 
 
 def _quadratic_drag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -128,7 +114,7 @@ def _quadratic_drag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dic
 @mechanism(units={"drag": "N·m·s²/rad²"}, size=_quadratic_drag)
 def quadratic_drag(world: World, joint: int, drag: float) -> None:
     """−c θ̇ |θ̇|."""
-    applied(world, joint, lambda t, q, qd: -drag * qd[joint] * abs(qd[joint]))
+    world.law(joint, lambda t, q, qd: -drag * qd[joint] * abs(qd[joint]))
 
 
 def _joint_stiffness(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
@@ -190,4 +176,4 @@ def joint_limit(world: World, joint: int, angle: float, stiffness: float, dampin
         depth = side * (q[joint] - angle)
         return -side * max(0.0, stiffness * depth + damping * side * qd[joint]) if depth > 0 else 0.0
 
-    applied(world, joint, torque)
+    world.law(joint, torque)

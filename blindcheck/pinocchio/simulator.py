@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from invdyn.blindcheck.pinocchio.chain import Chain
+from invdyn.blindcheck.pinocchio.chain import Chain, Piece
 from invdyn.blindcheck.simulator import MAX_JOINT_SPEED, Trajectory, even_steps
 from invdyn.models import Body
 
@@ -63,6 +63,32 @@ class World(Chain):
 
         def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
             tau[at[joint]] += of(t, q[at[joint]], v[at[joint]])
+
+        self.force(act)
+
+    def law(self, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:
+        """Register a joint's torque(t, q, qd), N·m, at the body's angles q and velocities qd (K,)."""
+
+        def act(t: float, x: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+            signs = self.signs[at]
+            tau[at[joint]] += signs[joint] * torque(t, signs * x[at] + self.zeros[at], signs * v[at])
+
+        self.force(act)
+
+    def drive(self, joint: int, of: Callable[[float, float, bool], float]) -> None:
+        """Register what a joint's motor makes of a command, of(u, seconds, whether it is the first), in turn."""
+        self.shape(joint, lambda u, interval: of(u, interval, len(self.rows) == 1))
+
+    def each_step(self, joint: int, act: Callable[[float, float, float], None]) -> None:
+        """Register act(t, seconds, qd), called before each step with a joint's velocity."""
+        self.begin(lambda t, h, x, v, at: act(t, h, self.signs[at[joint]] * v[at[joint]]))
+
+    def hang(self, mass: float, length: float, inertia: float, stiffness: float, damping: float) -> None:
+        """Hang a weight on a sprung hinge of its own at the last tip."""
+        self.pieces.append(Piece(length, mass, length, inertia))
+
+        def act(t: float, x: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
+            tau[-1] -= stiffness * x[-1] + damping * v[-1]
 
         self.force(act)
 

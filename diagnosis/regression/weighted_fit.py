@@ -15,8 +15,8 @@ it to the next. So the sd of each β is at least that of a jackknife over F fold
 
     s² = (F − 1)/F Σ_f (β_(−f) − mean)²,     F − 1 degrees of freedom                    (Shao & Wu 1989)
 
-Neither shows a torque that no effect explains and that looks like one from the first row to the last. Up to the size t_j
-that is tolerated at joint j it is not looked for. It shifts no sum of coefficients by more than one sd of A⁻¹ C A⁻¹
+Neither shows a torque that no effect explains and that looks like one from the first row to the last. Up to the size
+t_j that is tolerated at joint j it is not looked for. It shifts no sum of coefficients by more than one sd of A⁻¹ C A⁻¹
 (Cauchy's inequality), which is added as for a discrepancy (Kennedy & O'Hagan 2001):
 
     C = R Σ_j Σ_t (w t_j/σ_j²)² x xᵀ

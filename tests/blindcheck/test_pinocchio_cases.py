@@ -10,8 +10,8 @@ import invdyn.blindcheck.initial_state_fit as starts
 from invdyn.blindcheck.cases import make_case
 from invdyn.blindcheck.commitment import canonical
 from invdyn.blindcheck.kinds import KINDS
-from invdyn.blindcheck.pinocchio.camera import LAWS
 from invdyn.blindcheck.run import BlindRun
+from invdyn.blindcheck.tracker import LAWS
 from invdyn.models import Body
 from invdyn.recordings import InputError, read_keypoint_csv
 

@@ -164,10 +164,10 @@ OUTSIDE = {
     "cross_viscosity": lambda p, q, v, t: (-p["damping"] * v[:, 1], -p["damping"] * v[:, 0]),
     "alternating_field": lambda p, q, v, t: (
         0 * t,
-        -p["amplitude"] * np.tanh(2 * np.sin(2 * np.pi * p["frequency"] * t + p["phase"])),
+        p["amplitude"] * np.sin(2 * np.pi * p["frequency"] * t + p["phase"]),
     ),
 }
-"""In the body's angles, of the elbow: φ = π − θ."""
+"""In the body's angles, of the elbow."""
 
 
 @pytest.mark.parametrize("name", PINOCCHIO.unlisted)
