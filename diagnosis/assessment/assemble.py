@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import arviz as az
 import numpy as np
 import torch
 
@@ -31,6 +30,7 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.assessment.symbolic_regression import Formula
 from invdyn.diagnosis.assessment.tracks import Tracks
+from invdyn.diagnosis.hypotheses.continuation import lifted
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.prediction.predict import replay, replay_rms, residual, scores, seen_tips
 from invdyn.diagnosis.problem.cause import FittedHypothesis
@@ -40,7 +40,7 @@ from invdyn.diagnosis.problem.regime import regime_of
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
-from invdyn.models import ArmModel, ArticulatedBody
+from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
 
 
@@ -70,7 +70,7 @@ def assembled(
     tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
     parts: list[Callable[[], Any]] = [  # what takes longest first
         partial(replay, best.model, path, bound.starts),
-        partial(replay, model, _without_hidden(model, path), bound.starts),
+        partial(replay, model, lifted(model, path), bound.starts),
         partial(residual, bound, none),
         *(partial(scores, bound, cause) for cause in (none, best)),
     ]
@@ -116,6 +116,9 @@ def assembled(
         follows,
         bound.rules,
     )
+    # Intervals are in the recording's times, s, which are ``origin`` at the model's 0.
+    origin = bound.problem.origin
+    on_its_clock = tuple(replace(i, start=i.start + origin, stop=i.stop + origin) for i in located.intervals)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
@@ -129,7 +132,7 @@ def assembled(
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
             tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
-        where=_on_its_clock(located, bound.problem.origin),
+        where=replace(located, intervals=on_its_clock),
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
         overlaps=overlaps(bound, rivals, found.first),
@@ -153,7 +156,7 @@ def assembled(
         joint_names=joints,
         link_names=body.link_names,
         tracks=Tracks(
-            time=model.time.numpy() + bound.problem.origin,
+            time=model.time.numpy() + origin,
             observed=_observed(bound),
             keypoint_names=model.observation.tracked_names,
             base=base_of(body),
@@ -174,19 +177,12 @@ def assembled(
         visibility=visibility,
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
-        posterior=_posterior(bound, best, weighed, seed),
+        posterior=posterior(bound, best, weighed.confirmed.get(best.key) or confirm(bound, best, seed), seed),
         planar_only=_planar_only(bound),
         posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
         rules=bound.rules,
-    )
-
-
-def _on_its_clock(found: Where, origin: float) -> Where:
-    """Intervals in the recording's times, s, which are ``origin`` at the model's 0."""
-    return replace(
-        found, intervals=tuple(replace(i, start=i.start + origin, stop=i.stop + origin) for i in found.intervals)
     )
 
 
@@ -216,18 +212,8 @@ def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     return unseen
 
 
-def _posterior(bound: DiagnosisProblem, best: FittedHypothesis, weighed: Weighed, seed: int) -> az.InferenceData:
-    run = weighed.confirmed.get(best.key) or confirm(bound, best, seed)
-    return posterior(bound, best, run, seed)
-
-
 def _nothing(found: HypothesisPool) -> float:
     return next(s.log_evidence for s in found.first if s.effect is None)
-
-
-def _without_hidden(model: ArmModel, path: torch.Tensor) -> torch.Tensor:
-    extra = path.shape[-1] - model.state_dim
-    return path if extra <= 0 else torch.cat([path[:, : model.torque_size], path[:, model.torque_size + extra :]], -1)
 
 
 def _ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ...]:
@@ -253,7 +239,8 @@ def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
 
 
 def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, held_out: str) -> dict[str, str]:
-    flat = _planar_only(bound)
+    flat, tails = _planar_only(bound), _noise(weighed.best).degrees_of_freedom
+    law = "normal" if tails is None else f"Student's t of {tails:.0f} degrees of freedom"
     model, counted = bound.model, sum(np.isfinite(run.log_evidence) for run in weighed.confirmed.values())
     return {
         "rows": f"{model.num_steps} rows with an observation, {model.integrator} with {model.substeps} sub-step(s) a "
@@ -263,7 +250,7 @@ def _method(bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, he
         f"at most {bound.rules.search.max_effects} effects",
         "evidence": "linearised about each cause's own path and parameters, residual torque's size integrated out, "
         "noise scale at its most probable (its integral adds the same to each), what errors remember of the row before "
-        f"integrated out (most probably {weighed.best.memory:.2f}), their law {_law(weighed.best)}; "
+        f"integrated out (most probably {weighed.best.memory:.2f}), their law {law}; "
         f"{counted or 'none'} confirmed by nested sequential Monte Carlo with parameters integrated out",
         "budget": f"{bound.budget.allowed}, the search three quarters of it; {_looked_at(found.missed)}",
         "held out": held_out,
@@ -284,11 +271,6 @@ def _looked_at(missed: int) -> str:
     if not missed:
         return "every candidate was looked at"
     return f"{missed} candidate{'s were' if missed > 1 else ' was'} not looked at"
-
-
-def _law(best: FittedHypothesis) -> str:
-    tails = _noise(best).degrees_of_freedom
-    return "normal" if tails is None else f"Student's t of {tails:.0f} degrees of freedom"
 
 
 def _planar_only(bound: DiagnosisProblem) -> tuple[str, ...]:

@@ -125,7 +125,9 @@ def _filtered(
     problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float, seed: int
 ) -> FilterResult:
     """One filter for each set of parameters (M, p), under a residual of ``size``."""
-    model = _model(problem, cause, values, size)
+    among = unknowns(problem, cause.effects)
+    model = among.set_in(cause.model, values.numpy()) if among.names else cause.model
+    model = scaled(problem, model, size, cause.kappa)
     start = cause.path.expand(len(values), *cause.path.shape)
     # Their guides differ in where they lead, and next to nothing in how: one set's slopes do for all.
     slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
@@ -134,13 +136,6 @@ def _filtered(
     block = BLOCK if model.jumping is None else 1
     with seeded(seed):
         return BlockFilter(model, smoothers, problem.rules.outcome.num_particles, block=block).run(problem.observations)
-
-
-def _model(problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float) -> ArmModel:
-    """The cause's model with each set of parameters (M, p)."""
-    among = unknowns(problem, cause.effects)
-    model = among.set_in(cause.model, values.numpy()) if len(among.names) else cause.model
-    return scaled(problem, model, size, cause.kappa)
 
 
 def scaled(problem: DiagnosisProblem, model: ArmModel, size: float, kappa: float) -> ArmModel:

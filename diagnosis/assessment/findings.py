@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
-from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.hypotheses.simplex_search import log_spread
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import Unknowns, bounds, unknowns
-from invdyn.models.effects.base import Effect, Parameter
+from invdyn.models.effects.base import Effect, Parameter, Scale
 
 
 def place(effect: Effect) -> dict[str, str]:
@@ -46,10 +46,7 @@ def finding(
     parameters, entry = effect.parameters(problem.model.scale), problem.catalogue.of(effect)
     whole = drawn(problem, cause, seed, temper)
     draws = _draws(problem, cause, effect, whole, seed, temper)
-    reported = entry.reported(effect, {n: torch.as_tensor(v)[:, None] for n, v in draws.items()})
-    described = {name: (values.reshape(-1).numpy(), unit) for name, (values, unit) in reported.items()} or {
-        p.name: (draws[p.name], p.unit) for p in parameters
-    }
+    described = described_by(entry, effect, draws, problem.model.scale)
     if any(p.located for p in parameters):  # in the recording's times
         described |= {n: (described[n][0] + problem.problem.origin, "s") for n in ("start", "stop") if n in described}
     estimates = {}
@@ -73,6 +70,15 @@ def finding(
             changes[name] = Change(before, after)
     known = CATALOGUE.get(effect.name) is entry
     return Finding(effect.name, effect.side, place(effect), estimates, changes, None if known else entry)
+
+
+def described_by(
+    entry: CatalogueEntry, effect: Effect, draws: dict[str, np.ndarray], scale: Scale
+) -> dict[str, tuple[np.ndarray, str]]:
+    """Draws (N,) and unit of each number that is reported of an effect, from ``draws`` of its parameters."""
+    reported = entry.reported(effect, {name: torch.as_tensor(values)[:, None] for name, values in draws.items()})
+    own = {p.name: (draws[p.name], p.unit) for p in effect.parameters(scale)}
+    return {name: (values.reshape(-1).numpy(), unit) for name, (values, unit) in reported.items()} or own
 
 
 def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper: float = 1.0) -> tuple[Learned, ...]:

@@ -8,9 +8,8 @@ that were found (:mod:`..regression.as_model`).
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from invdyn.diagnosis.assessment.findings import place
+from invdyn.diagnosis.assessment.findings import described_by, place
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding
 from invdyn.diagnosis.hypotheses.regression_start import Start, regressed
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -35,12 +34,9 @@ def regression_cause(regression: Regression, problem: DiagnosisProblem, passive:
 
 def _finding(problem: DiagnosisProblem, effect: Effect, mean: Start, draws: list[Start]) -> Finding:
     entry = problem.catalogue.of(effect)
-    own = {p.name: p.unit for p in effect.parameters(problem.model.scale)}
-    values = {name: np.array([each.values[f"{effect.key}.{name}"] for each in (mean, *draws)]) for name in own}
-    reported = entry.reported(effect, {name: torch.as_tensor(each)[:, None] for name, each in values.items()})
-    described = {name: (each.reshape(-1).numpy(), unit) for name, (each, unit) in reported.items()} or {
-        name: (values[name], unit) for name, unit in own.items()
-    }
+    own, whole = [p.name for p in effect.parameters(problem.model.scale)], (mean, *draws)
+    values = {name: np.array([each.values[f"{effect.key}.{name}"] for each in whole]) for name in own}
+    described = described_by(entry, effect, values, problem.model.scale)
     estimates = {name: _estimate(each, unit) for name, (each, unit) in described.items()}
     changes = {}
     for name, quantity in entry.body_file_fields.items():

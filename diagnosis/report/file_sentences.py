@@ -4,18 +4,22 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from invdyn.diagnosis.assessment.result import Diagnosis, Written, named
+from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written, named
 from invdyn.diagnosis.report.numbers import changed, handies, handy, percent
 from invdyn.diagnosis.report.words import finding_words, place_words
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.joint_parts import PARTS
 
 
+def at_work(diagnosis: Diagnosis) -> Cause | None:
+    """The most probable cause that has an effect, with or without something else."""
+    return max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+
+
 def changes(diagnosis: Diagnosis) -> list[str]:
     """What of the simulation's own numbers the best cause changes: from … to …."""
-    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
-    found = []
-    for finding in cause.effects if cause is not None else ():
+    found, cause = [], at_work(diagnosis)
+    for finding in cause.effects if cause else ():
         for name, change in finding.changes.items():
             after = change.after
             old, new, low, high = changed(after.unit, change.before, after.mean, after.interval_90)
@@ -28,9 +32,8 @@ def changes(diagnosis: Diagnosis) -> list[str]:
 
 def at_edges(diagnosis: Diagnosis) -> list[str]:
     """Numbers of the best cause that are at the largest distinguishable value, and what that means."""
-    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
-    found = []
-    for finding in cause.effects if cause is not None else ():
+    found, cause = [], at_work(diagnosis)
+    for finding in cause.effects if cause else ():
         entry = finding.entry
         for name, (edge, means) in entry.limits.items() if entry else ():
             e = finding.parameters.get(name)

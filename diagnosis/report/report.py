@@ -32,6 +32,8 @@ from invdyn.diagnosis.report.words import (
 from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings.atomic import write_text
 
+TOLD = (apart, fixed, handies, handy, known, percent, plain, estimate, plus_minus, cause_words, finding_words, meaning)
+"""Functions that the page's template calls."""
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -60,6 +62,8 @@ def render(diagnosis: Diagnosis) -> str:
         maps=maps(diagnosis) if enough else [],
         residuals=residuals(diagnosis) if enough else [],
         ranked=_ranked(diagnosis),
+        best=max((c.log_evidence for c in diagnosis.causes if known(c.log_evidence)), default=0.0),
+        left_over=left_over(diagnosis),
         shown=FIXED.num_shown,
         replay=moving,
         data=htmlsafe_json_dumps(moving["data"], separators=(",", ":"), allow_nan=False) if moving else None,
@@ -73,7 +77,7 @@ def render(diagnosis: Diagnosis) -> str:
         screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
         words_of=partial(key_words, diagnosis=diagnosis),
         method={name.replace("_", " "): text for name, text in diagnosis.method.items()},
-        **{each.__name__: each for each in (apart, fixed, handies, handy, known, percent, plain)},
+        **{each.__name__: each for each in TOLD},
         script=Markup(script),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         digest=digest(script),
@@ -97,50 +101,16 @@ def environment(folder: Path) -> Environment:
     )
 
 
-def _ranked(diagnosis: Diagnosis) -> list[dict]:
-    """Rows of the causes, "outside the catalogue" among them, most probable first."""
-    best = max((c.log_evidence for c in diagnosis.causes if known(c.log_evidence)), default=0.0)
-    rows = [_cause(cause, best) for cause in diagnosis.causes]
+def _ranked(diagnosis: Diagnosis) -> list[Cause | None]:
+    """The causes, None for what is outside the catalogue among them, most probable first."""
     outside = diagnosis.outside
-    if rows or known(outside.probability):
-        rows.append(
-            {
-                "words": "outside the catalogue",
-                "probability": outside.probability if known(outside.probability) else 0.0,
-                "percent": percent(outside.probability),
-                "meanings": ["Something that no effect of the catalogue explains"],
-                "spread": "",
-                "parameters": [
-                    {"name": name, "of": None, "value": plus_minus(*term), "interval": ""}
-                    for name, term in outside.terms.items()
-                ],
-                "note": left_over(diagnosis),
-            }
-        )
-    return sorted(rows, key=lambda row: -row["probability"])
 
+    def probable(cause: Cause | None) -> float:
+        share = (cause or outside).probability
+        return share if known(share) else 0.0
 
-def _cause(cause: Cause, best: float) -> dict:
-    behind = best - cause.log_evidence
-    evidence = "Best evidence" if behind == 0 else f"Evidence {fixed(behind, 1)} nats behind the best"
-    return {
-        "words": cause_words(cause),
-        "probability": cause.probability if known(cause.probability) else 0.0,
-        "percent": percent(cause.probability),
-        "meanings": [m for f in cause.effects if (m := meaning(f))],
-        "spread": "90 % interval",
-        "parameters": [
-            {
-                "name": name.replace("_", " "),
-                "of": finding_words(f) if len(cause.effects) > 1 else None,
-                "value": estimate(e)[0],
-                "interval": estimate(e)[1],
-            }
-            for f in cause.effects
-            for name, e in f.parameters.items()
-        ],
-        "note": f"{evidence} (Monte Carlo error {fixed(cause.log_evidence_sd, 1)})." if known(behind) else "",
-    }
+    some = diagnosis.causes or known(outside.probability)
+    return sorted([*diagnosis.causes, *([None] if some else [])], key=lambda cause: -probable(cause))
 
 
 def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:

@@ -13,7 +13,7 @@ from invdyn.diagnosis.assessment.result import (
     named,
 )
 from invdyn.diagnosis.regression.regress import Regression
-from invdyn.diagnosis.report.file_sentences import at_edges, changes, learned, written
+from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import (
     SIDES,
@@ -121,7 +121,7 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
     if closing is None or regression is None:
         return None
     by_regression = closing.shown == REGRESSION
-    cause = max((c for c in diagnosis.causes if c.effects), key=lambda c: c.probability + c.in_part, default=None)
+    cause = at_work(diagnosis)
     if (
         closing.shown not in closing.torque
         or not (by_regression or answer in ("outside", "unclear"))

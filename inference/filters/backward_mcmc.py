@@ -24,8 +24,8 @@ from torch import Tensor
 
 from invdyn.inference.contract import check_model
 from invdyn.inference.execution.seeds import seeded
+from invdyn.inference.filters.backward_simulation import in_double, walked_back
 from invdyn.inference.filters.particles import FilterResult, take_at
-from invdyn.inference.filters.resampling import categorical
 from invdyn.inference.filters.weights import log_step
 from invdyn.models.state_space import StateSpaceModel
 
@@ -55,26 +55,17 @@ def backward_mcmc(
     """
     if num_draws < 1 or steps < 0:
         raise ValueError(f"expected at least one draw and no negative number of steps, got {num_draws} and {steps}")
-    observations = check_model(model, observations)
-    kept, device = len(result.states), result.states.device
-    first = len(observations) - kept
-    model = model.to(dtype=torch.float64, device=device)
-    observations = observations.to(dtype=torch.float64, device=device)
-    # Integers stay integers, by which a model may index.
-    dtype = torch.float64 if result.states.is_floating_point() else result.states.dtype
+    model, observations = in_double(model, check_model(model, observations), result)
 
-    with seeded(seed, device):
-        index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
-        path = [take_at(result.states[-1].to(dtype), index)]
-        for k in range(kept - 2, -1, -1):
-            log_weights = result.log_weights[k].double()
-            if result.log_twist is not None:
-                log_weights = log_weights - result.log_twist[k].double()
-            ancestor = result.ancestors[k + 1].long().gather(-1, index)
-            t, states = first + k + 1, result.states[k].to(dtype)
-            index = move_ancestors(model, states, log_weights, ancestor, path[-1], observations[t], t, steps)
-            path.append(take_at(states, index))
-    return torch.stack(path[::-1], -2)
+    def step(k: int, t: int, states: Tensor, log_weights: Tensor, path: Tensor, index: Tensor) -> Tensor:
+        ancestor = result.ancestors[k + 1].long().gather(-1, index)
+        after = path[..., k + 1, :]
+        index = move_ancestors(model, states, log_weights, ancestor, after, observations[t], t, steps)
+        path[..., k, :] = take_at(states, index)
+        return index
+
+    with seeded(seed, result.states.device):
+        return walked_back(result, len(observations), num_draws, step)
 
 
 def move_ancestors(

@@ -73,49 +73,52 @@ def backward_simulation(
     Raises ModelError where the transition has no density, as with a state without noise: :func:`genealogy` needs none.
     """
     observations = check_model(model, observations, needs=("transition_density",))
-    with seeded(seed, result.states.device):
-        return _backward(model, result, observations, num_draws, smoother, block, progress)
-
-
-def _backward(
-    model: StateSpaceModel,
-    result: FilterResult,
-    observations: Tensor,
-    num_draws: int,
-    smoother: GaussianSmoother | None,
-    block: int,
-    progress: Callable[[int, int], None] | None,
-) -> Tensor:
-    kept, total = len(result.states), len(observations)
-    first = total - kept
-    real, device = torch.float64, result.states.device
-    # Integers stay integers, by which a model may index.
-    dtype = real if result.states.is_floating_point() else result.states.dtype
-    model = model.to(dtype=real, device=device)
-    observations = observations.to(dtype=real, device=device)
-    bridge = None
+    model, observations = in_double(model, observations, result)
+    kept, bridge = len(result.states), None
     if smoother is not None and kept > block + 2 and exact_closed_form(model, smoother.path):
         bridge = Bridge(model, observations, smoother, block)
-    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
-    path = torch.empty(*index.shape, kept, model.state_dim, dtype=dtype, device=device)
-    path[..., kept - 1, :] = take_at(result.states[-1], index).to(dtype)
-    for k in range(kept - 2, -1, -1):
-        t = first + k
-        states = result.states[k].to(dtype)
-        log_weights = result.log_weights[k].to(real)
-        if result.log_twist is not None:
-            log_weights = log_weights - result.log_twist[k].to(real)
-        after = path[..., k + 1, :].unsqueeze(-2)
-        reach = log_step(model, states.unsqueeze(-3), after, observations[t + 1], t + 1)
-        _check_density(model, states, reach, t + 1)
+
+    def step(k: int, t: int, states: Tensor, log_weights: Tensor, path: Tensor, _: Tensor) -> Tensor:
+        reach = log_step(model, states.unsqueeze(-3), path[..., k + 1, :].unsqueeze(-2), observations[t], t)
+        _check_density(model, states, reach, t)
         index = categorical(log_weights.unsqueeze(-2) + reach)
         path[..., k, :] = take_at(states, index)
         # Every third row or so: a block covers ℓ states, so each is still moved twice.
         if bridge is not None and k % max(1, block // 2) == 0 and k + block + 1 < kept:
             stretch = path[..., k : k + block + 2, :]
-            path[..., k : k + block + 1, :] = bridge.move(t, states, log_weights, stretch)
+            path[..., k : k + block + 1, :] = bridge.move(t - 1, states, log_weights, stretch)
         if progress is not None:
             progress(kept - k, kept)
+        return index
+
+    with seeded(seed, result.states.device):
+        return walked_back(result, len(observations), num_draws, step)
+
+
+Step = Callable[[int, int, Tensor, Tensor, Tensor, Tensor], Tensor]
+"""From kept row k, the number t of the next one, states (M, N, D) and log-weights (M, N) of row k's untwisted filter,
+paths (M, R, W, D) after it, to which it adds row k, and their particles (M, R) at row t, to those at row k."""
+
+
+def in_double(model: StateSpaceModel, observations: Tensor, result: FilterResult) -> tuple[StateSpaceModel, Tensor]:
+    """A model and its rows in float64, where the states of ``result`` are."""
+    device = result.states.device
+    return model.to(dtype=torch.float64, device=device), observations.to(dtype=torch.float64, device=device)
+
+
+def walked_back(result: FilterResult, rows: int, num_draws: int, step: Step) -> Tensor:
+    """Trajectories (M, R, W, D): final particles of ``result``, by weight, and before each what ``step`` draws."""
+    states, kept = result.states, len(result.states)
+    # Integers stay integers, by which a model may index.
+    dtype = torch.float64 if states.is_floating_point() else states.dtype
+    index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
+    path = torch.empty(*index.shape, kept, states.shape[-1], dtype=dtype, device=states.device)
+    path[..., kept - 1, :] = take_at(states[-1], index).to(dtype)
+    for k in range(kept - 2, -1, -1):
+        log_weights = result.log_weights[k].double()
+        if result.log_twist is not None:
+            log_weights = log_weights - result.log_twist[k].double()
+        index = step(k, rows - kept + k + 1, states[k].to(dtype), log_weights, path, index)
     return path
 
 

@@ -97,12 +97,7 @@ class Guide:
         """Tensors and the rest, for a checkpoint; :meth:`kept` takes them back."""
         tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
         tensors |= {} if self.opinion is None else {"opinion": self.opinion}
-        return tensors, {
-            "name": self.name,
-            "num_particles": self.num_particles,
-            "reason": self.reason,
-            "doubt": self.doubt,
-        }
+        return tensors, {name: getattr(self, name) for name in ("name", "num_particles", "reason", "doubt")}
 
     @classmethod
     def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":

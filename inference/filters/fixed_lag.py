@@ -15,6 +15,7 @@ Shapes: M filters, N particles.
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +23,6 @@ from torch import Tensor
 
 from invdyn.inference.filters.online import OnlineRow, filter_rows
 from invdyn.inference.filters.particles import take
-from invdyn.inference.filters.proposal import Proposal
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -63,9 +63,7 @@ def fixed_lag(
     *,
     lag: int,
     seed: int,
-    guide: Proposal | None = None,
-    num_filters: int = 1,
-    ess_threshold: float = 0.5,
+    **filtering: Any,
 ) -> Iterator[LaggedRow]:
     """Yield row 0, 1, … as a :class:`LaggedRow`, each ``lag`` rows after it came; the last ones at the end.
 
@@ -75,22 +73,13 @@ def fixed_lag(
         num_particles: N.
         lag: L, in rows; 0 is the filter.
         seed: of every random number.
-        guide, num_filters, ess_threshold: as for :func:`filter_rows`.
+        filtering: further options of :func:`filter_rows`.
 
     Raises ValueError for a negative lag, and as :func:`filter_rows`.
     """
     if lag < 0:
         raise ValueError(f"expected a lag of 0 rows or more, got {lag}")
-    filtered = filter_rows(
-        model,
-        rows,
-        num_particles,
-        seed=seed,
-        guide=guide,
-        num_filters=num_filters,
-        ess_threshold=ess_threshold,
-    )
-    return _lagged(filtered, lag)
+    return _lagged(filter_rows(model, rows, num_particles, seed=seed, **filtering), lag)
 
 
 @torch.no_grad()

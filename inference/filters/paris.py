@@ -20,7 +20,7 @@ Shapes: M filters, N particles, values (M, N, …) with any dimensions of the fu
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
@@ -30,7 +30,6 @@ from invdyn.inference.execution.seeds import Stream, derived
 from invdyn.inference.filters.backward_mcmc import move_ancestors
 from invdyn.inference.filters.online import OnlineRow, filter_rows
 from invdyn.inference.filters.particles import take_at
-from invdyn.inference.filters.proposal import Proposal
 from invdyn.inference.filters.resampling import categorical
 from invdyn.inference.filters.weights import log_step
 from invdyn.models.state_space import StateSpaceModel
@@ -68,11 +67,9 @@ def paris(
     num_particles: int,
     *,
     seed: int,
-    guide: Proposal | None = None,
-    num_filters: int = 1,
     backward_draws: int = 2,
     backward: Literal["mcmc", "exact"] = "mcmc",
-    ess_threshold: float = 0.5,
+    **filtering: Any,
 ) -> Iterator[OnlineEstimate]:
     """Yield an :class:`OnlineEstimate` for each of ``rows`` (O,), NaN where missing.
 
@@ -82,9 +79,9 @@ def paris(
         additive: h_t, see the top of the file.
         num_particles: N.
         seed: of every random number.
-        guide, num_filters, ess_threshold: as for :func:`filter_rows`.
         backward_draws: Ñ, at least 2.
         backward: "mcmc" or "exact", how ancestors are drawn.
+        filtering: further options of :func:`filter_rows`.
 
     Raises ValueError for fewer than two backward draws or another way to draw them, and as :func:`filter_rows`.
     """
@@ -92,15 +89,7 @@ def paris(
         raise ValueError(
             f'expected two backward draws or more, by "mcmc" or "exact", got {backward_draws} by {backward!r}'
         )
-    filtered = filter_rows(
-        model,
-        rows,
-        num_particles,
-        seed=derived(seed, 0),
-        guide=guide,
-        num_filters=num_filters,
-        ess_threshold=ess_threshold,
-    )
+    filtered = filter_rows(model, rows, num_particles, seed=derived(seed, 0), **filtering)
     stream = Stream(derived(seed, 1), model.device)
     return _estimates(model, filtered, additive, stream, backward_draws, exact=backward == "exact")
 

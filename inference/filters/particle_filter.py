@@ -202,16 +202,6 @@ class ParticleFilter(SMCFilter):
         SMCFailed when all particles of some filter have weight zero.
         """
         observations = check_model(self.model, observations)
-        with seeded(seed, observations.device):
-            return self._run(observations, keep, progress, synchronous)
-
-    def _run(
-        self,
-        observations: Tensor,
-        keep: int | None,
-        progress: Callable[[int, int], None] | None,
-        synchronous: bool | None,
-    ) -> FilterResult:
         rows, device = len(observations), observations.device
         synchronous = device.type == "cpu" if synchronous is None else synchronous
         shape = self.batch if self.num_filters is not None else (1, *self.batch)
@@ -226,22 +216,23 @@ class ParticleFilter(SMCFilter):
         self._numbers = torch.arange(rows, device=device).unsqueeze(-1).unbind()
         seen = ~torch.isnan(observations)
         whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
-        for t, y in enumerate(observations.unbind()):
-            row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
-            particles, self._log_weights, total, self.ess = row
-            self.log_evidence = self.log_evidence + total
-            self.row += 1
-            history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
-            self.resampled = self._need(last=t == rows - 1)
-            history.note(t, total, self.ess, self.resampled)
-            if synchronous:
-                self._alive(total[None], t, particles["x"])
-            elif self.row % PATIENCE == 0 or self.row == rows:
-                first = (t // PATIENCE) * PATIENCE
-                self._alive(history.increment[first : t + 1], first)
-            particles = self._resample(particles, synchronous)
-            if progress is not None:
-                progress(t + 1, rows)
+        with seeded(seed, device):
+            for t, y in enumerate(observations.unbind()):
+                row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
+                particles, self._log_weights, total, self.ess = row
+                self.log_evidence = self.log_evidence + total
+                self.row += 1
+                history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
+                self.resampled = self._need(last=t == rows - 1)
+                history.note(t, total, self.ess, self.resampled)
+                if synchronous:
+                    self._alive(total[None], t, particles["x"])
+                elif self.row % PATIENCE == 0 or self.row == rows:
+                    first = (t // PATIENCE) * PATIENCE
+                    self._alive(history.increment[first : t + 1], first)
+                particles = self._resample(particles, synchronous)
+                if progress is not None:
+                    progress(t + 1, rows)
         return history.result(self.log_evidence)
 
     def _row(self, t: int, y: Tensor, seen: Tensor | None, particles: Particles, any_seen: bool, last: bool) -> Row:
