@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from kept import kept
+from laplace_evidence import fit_at_mode
 from walker import tracks
 
-from invdyn.inference.fitting.laplace_evidence import fit_at_mode
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import Problem, arm_problem

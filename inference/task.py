@@ -1,8 +1,10 @@
 """A recording bound to a body, its unknown parameters fitted: what any method then runs on."""
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -12,16 +14,19 @@ from typing import Any
 import arviz as az
 import numpy as np
 import torch
+from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest, part_of
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.best_guide import best_guide
+from invdyn.inference.filters.best_guide import bears_out
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.moment_matching import exact_closed_form
+from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
-from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws
+from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws, sets_needed
 from invdyn.inference.marginalise import NUM_SETS, over_bodies
 from invdyn.inference.methods.over_sets import BATCHED, over_sets
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
@@ -36,8 +41,8 @@ from invdyn.recordings import InputError, Recording, Truth
 
 MIXED = frozenset({"bootstrap", *BATCHED})
 """Methods that have draws of several torque processes and their parameters; others have the most probable ones."""
-SETS, PILOTS = 5_505_505, 5_505_506
-"""Places of the random numbers of process and parameters, and of their guide's pilots (:func:`.seeds.derived`)."""
+SETS = 5_505_505
+"""Place of the random numbers of process and parameters (:func:`.seeds.derived`)."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
 PILOT_ROWS, PILOT_FROM = 1000, 4000
@@ -163,17 +168,37 @@ class Task:
         """The method over sets of process and parameters, and these sets."""
         with seeded(derived(self.seed, SETS)):
             count = min(NUM_SETS, self.options.num_filters)
+            if not self.problem.model.body.has_priors:  # a body is drawn for each set
+                count = min(count, sets_needed(self.candidates, self.options.num_filters * self.options.num_draws))
             sets = parameter_draws(self.candidates, self.problem.observations, count)
-        if method in BATCHED and not self.problem.model.nonsmooth and (method == "laplace" or self._looks_ahead()):
+        one_by_one = partial(over_bodies, partial(_by_name, method), sets=sets)
+        model = self.problem.model
+        if method not in BATCHED or model.nonsmooth:
+            return timed(one_by_one), sets
+        if method == "laplace":
             return timed(partial(over_sets, method, sets=sets)), sets
-        return timed(partial(over_bodies, partial(_by_name, method), sets=sets)), sets
+        if not exact_closed_form(model.to(dtype=torch.float64), self.path):
+            return timed(one_by_one), sets
 
-    def _looks_ahead(self) -> bool:
-        """Whether pilot runs bear the look-ahead out, which tells for all sets: they differ in parameters alone."""
-        found = best_guide(
-            self.problem.model, self.problem.observations, self.options, derived(self.seed, PILOTS), self.path
-        )
-        return found.name == "controlled" and found.num_particles == self.options.num_particles and not found.doubt
+        def in_a_batch(problem: Problem, checkpoint: Checkpoint | None, **options: Any) -> az.InferenceData:
+            with suppress(SMCFailed, Diverged):
+                found = over_sets(method, problem, sets, checkpoint=checkpoint, **options)
+                if self._borne_out(torch.as_tensor(found["sample_stats"]["log_evidence"].to_numpy())):
+                    return found
+            return one_by_one(problem, checkpoint=inside(checkpoint, "alone"), **options)
+
+        return timed(in_a_batch), sets
+
+    def _borne_out(self, log_evidence: Tensor) -> bool:
+        """Whether filters over sets, with log-evidences (M,) of the mixture, agree, and a bootstrap pilot is no higher.
+
+        The pilot is of the fit: the mixture's evidence is less, by what its parameters and processes cost.
+        """
+        marginal = torch.tensor([float(each.fit.log_marginal) for each in self.candidates]).double()
+        best = self.candidates[int(marginal.argmax())].fit.log_evidence
+        cost = best - float(marginal.logsumexp(0)) + math.log(len(marginal))
+        ahead = evidence(log_evidence + cost, "controlled")
+        return bears_out(self.problem.model, self.problem.observations, self.options, self.seed, ahead)
 
 
 def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
@@ -223,8 +248,8 @@ def prepare(
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
 
-    def begin() -> Mapping[str, Tensor]:
-        return _of_middle(recording, partial(bound, process=processes[0]), frees[0])
+    def begin(number: int) -> Mapping[str, Tensor]:
+        return _of_middle(recording, partial(bound, process=processes[number]), frees[number])
 
     fits, doubts_of = _fitted(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
@@ -247,8 +272,8 @@ def prepare(
         record["in_doubt"] = doubts
     if len(problems) > 1:
         names = [type(each.model.torque).__name__ for each in problems]
-        evidence = [float(each.log_marginal) for each in fits]
-        record["torque_evidence"] = dict(zip(names, evidence, strict=True))
+        marginal = [float(each.log_marginal) for each in fits]
+        record["torque_evidence"] = dict(zip(names, marginal, strict=True))
     candidates = [
         Candidate(at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
     ]
@@ -259,7 +284,7 @@ def prepare(
 def _fitted(
     problems: Sequence[Problem],
     frees: Sequence[list[Free]],
-    begin: Callable[[], Mapping[str, Tensor]],
+    begin: Callable[[int], Mapping[str, Tensor]],
     report: Report | None,
     checkpoint: Checkpoint | None,
 ) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
@@ -274,7 +299,8 @@ def _fitted(
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
         part = _share(report, number, len(problems))
         model, rows = at_start(problem, free), problem.observations
-        like = _like(model, problems[0].model, fits[0]) if number else {"begin": begin()}
+        like = _like(model, problems[0].model, fits[0]) if number else {"begin": {}}
+        like["begin"] |= begin(number)
         found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, **like)
         fits.append(found)
         doubts.append(doubt)
@@ -283,8 +309,7 @@ def _fitted(
             f"{number}.{name}": value for number, each in enumerate(fits) for name, value in _tensors_of(each).items()
         }
         numbers = [
-            {"converged": each.converged, "log_evidence": each.log_evidence, "log_marginal": float(each.log_marginal)}
-            for each in fits
+            {name: float(getattr(each, name)) for name in NUMBERS} | {"converged": each.converged} for each in fits
         ]
         checkpoint.save(tensors, fits=numbers, doubts=doubts)
     return fits, doubts
@@ -328,6 +353,8 @@ def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
 
 PARAMETER = "parameter "
 """Before a parameter's name in a checkpoint: it may be any."""
+NUMBERS = ("log_evidence", "log_marginal", "scatter")
+"""Of a fit, that a checkpoint keeps."""
 
 
 def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
@@ -342,16 +369,8 @@ def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, A
     model = problem.model.replace(**part_of(tensors, PARAMETER))
     log_sd = {name: value.numpy() for name, value in part_of(tensors, "log_sd ").items()}
     phi, covariance = tensors["phi"].numpy(), tensors["covariance"].numpy()
-    return Fit(
-        model,
-        numbers["log_evidence"],
-        tensors["path"],
-        log_sd,
-        numbers["converged"],
-        phi,
-        covariance,
-        numbers["log_marginal"],
-    )
+    of = {name: numbers[name] for name in ("converged", *NUMBERS)}
+    return Fit(model=model, path=tensors["path"], log_sd=log_sd, phi=phi, covariance=covariance, **of)
 
 
 def _share(report: Report | None, number: int, count: int) -> Report | None:

@@ -187,6 +187,15 @@ def best_guide(
     return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence, doubt=doubt)
 
 
+def bears_out(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, ahead: Evidence) -> bool:
+    """Whether filters that look ahead, of evidence ``ahead``, agree, and no bootstrap pilot of ``seed`` is higher."""
+    if not ahead.standing:
+        return False
+    with seeded(derived(seed, BLIND), options.device):
+        pilot, _ = _blind(model, observations, options, keep=0)
+    return pilot is None or not exceeds(pilot.found, ahead)
+
+
 def has_own_start(model: StateSpaceModel) -> bool:
     """Whether a model says where its paths may lie, so that a linearisation starts near the posterior."""
     return type(model).initial_paths is not StateSpaceModel.initial_paths

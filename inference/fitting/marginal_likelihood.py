@@ -12,6 +12,7 @@ Under heavy tails the least squares that stand in for rows have the right gradie
 wrong: it serves the search. What is reported of parameters comes from differences of gradients, each at its own mode.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -22,7 +23,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, evidence_of, gauss_newton
+from invdyn.inference.smoothing.gauss_newton import gauss_newton, mean_and_evidence
 from invdyn.inference.smoothing.posterior_linearisation import (
     SharedMeans,
     fit_linear,
@@ -42,13 +43,14 @@ PATIENCE = 6
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
-MIN_GAIN = 5e-3
-"""nats that a whole Newton step would gain, by which the search ends: φ is then within a tenth of its posterior sd."""
+MIN_GAIN, HEAVY_MIN_GAIN = 0.1, 5e-3
+"""nats that a whole Newton step would gain, by which the search ends. That step is taken all the same, and its end not
+evaluated: φ is then within a tenth of its posterior sd of the optimum. Under heavy tails it is not taken."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
 
-SETS_AT_ONCE, ROWS_AT_ONCE = 32, 100_000
+SETS_AT_ONCE, ROWS_AT_ONCE = 32, 20_000
 """Parameter sets that are computed at once, and their rows: more are hardly quicker, and take memory."""
 
 NOT_FINITE = (
@@ -94,6 +96,7 @@ class Fit(Generic[M]):
         phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
         covariance: (P, P) posterior covariance of φ (Laplace).
         log_marginal: log p(y) with φ integrated out over its prior (Laplace), nats: what models are compared by.
+        scatter: squared error, as a share, that a state's variance has if one φ is drawn (:meth:`Objective.scatter`).
     """
 
     model: M
@@ -104,6 +107,7 @@ class Fit(Generic[M]):
     phi: np.ndarray
     covariance: np.ndarray
     log_marginal: float
+    scatter: float = math.inf
 
 
 class LogParameters(Generic[M]):
@@ -169,6 +173,12 @@ class Objective(Generic[M]):
         self.path = start
         self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
+        # Which parameters move means (:meth:`_slopes_of_means`): the same everywhere.
+        self._moving: list[np.ndarray] | None = None
+        # How mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D), at the last
+        # evaluation.
+        self._moves: tuple[np.ndarray, np.ndarray] | None = None
+        self._noise = np.random.default_rng(0).standard_normal((len(observations), model.state_dim))
         # The last Hessian all of whose entries were computed, and how many evaluations ago that was.
         self._whole: np.ndarray | None = None
         self._age = 0
@@ -189,13 +199,19 @@ class Objective(Generic[M]):
         """(P, P): its diagonal, and correlations of at most ``FRESH`` evaluations before."""
         return self._evaluate(phi)[2]
 
-    def settled(self, phi: np.ndarray) -> bool:
-        """Whether φ is known to be where a whole Newton step would gain next to nothing."""
+    def last_step(self, phi: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """The whole Newton step (P,) from φ and the nats that it gains, where these are next to nothing; else None."""
         if self._known is None or self._known[0] != phi.tobytes():
-            return False
+            return None
         _, gradient, hessian = self._known[1]
         values, vectors = np.linalg.eigh(hessian)
-        return bool(values[0] > 0) and 0.5 * float((((gradient @ vectors) ** 2) / values).sum()) < MIN_GAIN
+        if values[0] <= 0:
+            return None
+        step = -vectors @ ((gradient @ vectors) / values)
+        gain = -0.5 * float(gradient @ step)
+        if gain >= (HEAVY_MIN_GAIN if self.heavy else MIN_GAIN):
+            return None
+        return (np.zeros_like(step), 0.0) if self.heavy else (step, gain)
 
     def curvature(self, phi: np.ndarray) -> np.ndarray:
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
@@ -253,8 +269,11 @@ class Objective(Generic[M]):
         whole = few or self._whole is None or self._age >= FRESH
         first, second = np.triu_indices(size if whole else 0, 1)
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
-        evidence = self._evidence(phi, shifts, smoother)
+        covariance = smoother.covariance()
+        evidence, paths = self._shifted(phi, shifts, smoother.path, covariance, 1 + 2 * size)
         middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
+        slope = (paths[:, 1 : 1 + size] - paths[:, 1 + size :]) / (2 * STEP)
+        self._moves = slope, covariance.diagonal(dim1=-2, dim2=-1).numpy()
         precision = 1 / self.sd**2
         gradient = phi * precision - (up - down) / (2 * STEP)
         diagonal = precision - (up + down - 2 * middle) / STEP**2
@@ -267,27 +286,66 @@ class Objective(Generic[M]):
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
         return -value, gradient, hessian
 
-    def _evidence(self, phi: np.ndarray, shifts: np.ndarray, smoother: GaussianSmoother) -> np.ndarray:
-        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over one posterior, ``SETS_AT_ONCE`` at once."""
-        slopes = self._slopes_of_means(phi, smoother)
-        found = []
+    def around(self, phi: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, Tensor]:
+        """Log-evidence (B,) at ``others`` (B, P), linearised over the posterior at φ, and where their modes are about.
+
+        Paths are (B, T, D).
+        """
+        model = self.at(phi)
+        mode = gauss_newton(model, self.observations, start=self.path)
+        smoother = posterior_linearisation(model, self.observations, mode, 1)
+        covariance = smoother.covariance()
+        evidence, paths = self._shifted(phi, others - phi, smoother.path, covariance, len(others))
+        return evidence, mode.path + torch.as_tensor(paths[0])
+
+    def moved(self, step: np.ndarray) -> Tensor:
+        """By how much the mean path (T, D) moves with a ``step`` (P,) of φ from where it was evaluated last."""
+        assert self._moves is not None
+        return torch.as_tensor(np.einsum("p,ptd->td", step, self._moves[0][0]))
+
+    def scatter(self, covariance: np.ndarray) -> float:
+        """Squared error, as a share, that a state's variance has where one φ is drawn, of a ``covariance`` C (P, P).
+
+        With slopes J of the mean path, φ adds a share b = ⟨J C Jᵀ / P⟩ to a variance P (Kass & Steffey 1989, JASA 84,
+        717), an average over rows, and one draw of it tells b up to √2 b. With slopes of a draw's way from the mean,
+        that is √P u for a u that stays, the same average is a quarter of the variance v² of log P. The state with the
+        largest 2 b² + v² counts.
+        """
+        assert self._moves is not None
+        slopes, variance = self._moves
+        added = np.einsum("sptd,pq,sqtd->std", slopes, covariance, slopes, optimize=True)
+        share = np.divide(added, variance, out=np.zeros_like(added), where=variance > 0).mean(1)
+        return float(np.nan_to_num(2 * share[0] ** 2 + 4 * share[1], nan=np.inf).max())
+
+    def _shifted(
+        self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over N(path, covariance).
+
+        And of the first ``count`` sets mean paths, in deviations from ``path``, and draws from those, (2, count, T, D).
+        """
+        self._moving = slopes = self._moving or self._slopes_of_means(phi, path, covariance)
+        found: list[np.ndarray] = []
+        paths: list[np.ndarray] = []
         at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
         for some in np.array_split(shifts, -(-len(shifts) // at_once)):
-            path = smoother.path.expand(len(some), *smoother.path.shape)
-            covariance = smoother.covariance().expand(len(some), -1, -1, -1)
+            over = (each.expand(len(some), *each.shape) for each in (path, covariance))
             moved, seen = (self._shared_means(phi, some, each) for each in slopes)
-            linear = fit_linear(self.at(phi + some), self.observations, path, covariance, moved, seen)
-            found.append(evidence_of(linear))
-        return np.concatenate(found)
+            linear = fit_linear(self.at(phi + some), self.observations, *over, moved, seen)
+            mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise)
+            found.append(evidence)
+            paths.append(np.stack([mean, drawn])[:, : max(0, count - sum(map(len, found[:-1])))])
+        return np.concatenate(found), np.concatenate(paths, 1)
 
-    def _slopes_of_means(self, phi: np.ndarray, smoother: GaussianSmoother) -> list[np.ndarray]:
+    def _slopes_of_means(self, phi: np.ndarray, path: Tensor, covariance: Tensor) -> list[np.ndarray]:
         """Which parameters move the means of transitions, and of emissions: (P, 1 + free), not 0 where they do."""
         each = np.zeros((1 + len(self.free), len(phi)))
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP
-        path = smoother.path.expand(len(each), *smoother.path.shape)
-        covariance = smoother.covariance().expand(len(each), -1, -1, -1)
-        moving = moved_means(self.at(phi + each), path, covariance)
+        moving = np.zeros((2, len(each)), dtype=bool)
+        for k in range(1, len(each)):
+            over = (values.expand(2, *values.shape) for values in (path, covariance))
+            moving[:, k] = [bool(found[1]) for found in moved_means(self.at(phi + each[[0, k]]), *over)]
         return [each.T @ np.where(those, 1 / STEP, 0.0) for those in moving]
 
     def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, moves: np.ndarray) -> SharedMeans:
@@ -333,7 +391,7 @@ def fit(
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
         none, evidence = np.zeros(0), smoother.log_evidence.item()
-        return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence)
+        return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence, 0.0)
     objective = Objective(model, observations, free, start)
     # Once: copies with other numbers inherit the result.
     check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
@@ -341,25 +399,30 @@ def fit(
     def report(done: int, phi: np.ndarray) -> bool:
         if progress is not None:
             progress(min(done, max_iterations), max_iterations)
-        return objective.settled(phi)
+        return objective.last_step(phi) is not None
 
     widening = max(1.0, (len(objective.sd) / 10) ** 0.5)  # many parameters share a step
     phi, converged = minimum(
         objective, objective.parameters.of(begin or {}), max_iterations, widening=widening, report=report
     )
     value, hessian = objective.value(phi), objective.curvature(phi)
+    path = torch.as_tensor(objective.path)
+    if (last := objective.last_step(phi)) is not None:
+        step, gain = last
+        phi, value, path = phi + step, value - gain, path + objective.moved(step)
     log_evidence = -value + 0.5 * ((phi / objective.sd) ** 2).sum()
     covariance = laplace(objective, hessian)
     sd = np.sqrt(np.diagonal(covariance))
     return Fit(
         objective.at(phi),
         log_evidence,
-        torch.as_tensor(objective.path),
+        path,
         {f.name: sd[index] for f, index in zip(objective.free, objective.slices, strict=True)},
         converged,
         phi,
         covariance,
         -value + 0.5 * np.linalg.slogdet(covariance)[1] - np.log(objective.sd).sum(),
+        objective.scatter(covariance),
     )
 
 

@@ -6,11 +6,19 @@ model c gets a share n_c / n of n draws in proportion to its Laplace evidence. I
 
     w = p(y | φ, c) p(φ | c) / [C (n_c / n) q(φ | c)],      Ẑ = mean of w over the n draws,
 
-correct it, with the linearised model's evidence (:mod:`.posterior_linearisation`) for p(y | φ, c); systematic
-resampling leaves sets that weigh the same. A method that estimates p̂(y | φ, c) weighs a set by p̂ times its ``offset``,
-log Ẑ − log p(y | φ, c): an importance sampler over models, parameters and paths, whose evidence is that of the mixture.
+correct it, with the evidence of a model that is linearised once, at the fit, for p(y | φ, c); systematic resampling
+leaves sets that weigh the same. A method that estimates p̂(y | φ, c) weighs a set by p̂ times its ``offset``,
+log Ẑ − log p(y | φ, c): an importance sampler over models, parameters and paths, whose evidence is that of the mixture,
+however near p is to p̂.
 
-A point fit takes a torque's size and length scale for known, and its bands are too narrow.
+A point fit takes a torque's size and length scale for known, and its bands are too narrow. How many sets it takes
+follows from what a state's variance is off by one set, a share s (:attr:`.Fit.scatter` is s², and to it comes what
+other models may have made, of probability p, p (1 − p)). Of S sets it is s/√S, and of R draws √(2/R): the first is at
+most half of the second where
+
+    S ≥ 2 R s².
+
+The longer a recording, the better it tells φ: s falls with its length, and one set may do.
 
 Shapes: P parameters, T rows, D states.
 """
@@ -25,14 +33,12 @@ import torch
 from pyro.distributions import MultivariateStudentT, Normal
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameters, M
-from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
+from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameters, M, Objective
 from invdyn.models.divergence import Diverged, diverging
 
 DF = 8.0
-ROWS_AT_ONCE = 20_000
-"""Rows × parameter sets that are linearised in one batch: memory."""
+PROPOSALS, MIN_PROPOSALS = 3, 8
+"""Draws of the proposal for each set, and in all at least: the evidence is their mean."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class ParameterSet(Generic[M]):
     Attributes:
         candidate: number of the candidate that it is of.
         model: with these parameters.
-        path: (T, D) its most probable path.
+        path: (T, D) about where its most probable path is.
         offset: nats, to add to an estimate of its log-evidence; see the top of the file.
     """
 
@@ -68,21 +74,25 @@ def probabilities(candidates: Sequence[Candidate]) -> np.ndarray:
     return share / share.sum()
 
 
+def sets_needed(candidates: Sequence[Candidate], draws: int) -> int:
+    """Sets for a posterior of so many ``draws``: S at the top of the file; many where it is not known."""
+    share = probabilities(candidates)
+    scatter = float(share @ [min(each.fit.scatter, 1e6) for each in candidates]) + float((share * (1 - share)).max())
+    return max(1, math.ceil(2 * draws * scatter))
+
+
 @torch.no_grad()
-def parameter_draws(
-    candidates: Sequence[Candidate[M]], observations: Tensor, count: int, *, proposals: int = 3
-) -> list[ParameterSet[M]]:
+def parameter_draws(candidates: Sequence[Candidate[M]], observations: Tensor, count: int) -> list[ParameterSet[M]]:
     """Draw ``count`` sets that weigh the same, in the order of the candidates; by torch's global generator.
 
     Args:
         candidates: one or more models of the same rows.
         observations: (T, O), NaN where missing.
         count: of sets; one with a large weight may be there several times.
-        proposals: draws of the proposal for each set.
     """
     observations = observations.double()
     share = probabilities(candidates)
-    total = proposals * count
+    total = max(PROPOSALS * count, MIN_PROPOSALS)
     sizes = np.diff(np.floor(total * np.concatenate([[0.0], share.cumsum()]) + 0.5).astype(int))
     pieces = [_weighed(each, observations, int(size)) for each, size in zip(candidates, sizes, strict=True) if size > 0]
     owners = np.repeat(np.arange(len(candidates)), sizes)
@@ -106,7 +116,7 @@ def parameter_draws(
 
 
 def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Log of p(y | φ) p(φ) / q(φ), log p(y | φ), both (size,), φ (size, P) and modes (size, T, D) of draws of q.
+    """Log of p(y | φ) p(φ) / q(φ), log p(y | φ), both (size,), φ (size, P) and paths (size, T, D) of draws of q.
 
     Where no draw has a mode, the fitted parameters stand for all.
     """
@@ -125,22 +135,16 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
     proposal = MultivariateStudentT(torch.tensor(DF, dtype=torch.float64), centre, root)
     phi = proposal.sample((size,))
-    evidence, paths = [], []
+    objective = Objective(parameters.model, observations, candidate.free, found.path)
     try:
         with diverging():
-            for part in phi.split(max(1, ROWS_AT_ONCE // len(observations))):
-                many = parameters.at(part)
-                start = found.path.expand(len(part), -1, -1)
-                mode = gauss_newton(many, observations, start=start)
-                smoother = posterior_linearisation(many, observations, mode, 1)
-                evidence.append(smoother.log_evidence)
-                paths.append(mode.path)
+            evidence, paths = objective.around(found.phi, phi.numpy())
     except Diverged:
         return fitted
-    log_evidence = torch.cat(evidence).nan_to_num(-torch.inf, neginf=-torch.inf, posinf=-torch.inf)
+    log_evidence = torch.as_tensor(evidence).nan_to_num(-torch.inf, neginf=-torch.inf, posinf=-torch.inf)
     if not bool(torch.isfinite(log_evidence).any()):
         return fitted
-    return log_evidence + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, torch.cat(paths)
+    return log_evidence + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
 
 
 def _parameters(candidate: Candidate[M]) -> LogParameters[M]:

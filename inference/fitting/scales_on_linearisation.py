@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, M
-from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, evidence_of
+from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, mean_and_evidence
 from invdyn.inference.smoothing.posterior_linearisation import Fitted
 from invdyn.inference.smoothing.statistical_homotopy import statistical_homotopy
 from invdyn.models.divergence import Diverged, diverging
@@ -70,7 +70,7 @@ def _best(parameters: LogParameters, fitted: Fitted) -> np.ndarray:
     def value(phi: np.ndarray) -> float:
         try:
             with diverging():
-                evidence = evidence_of(fitted.linear(parameters.at(torch.as_tensor(phi))))
+                _, evidence, _ = mean_and_evidence(fitted.linear(parameters.at(torch.as_tensor(phi))))
         except Diverged:
             return 1e10
         prior = 0.5 * float(((phi / parameters.sd) ** 2).sum())

@@ -29,7 +29,7 @@ from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_d
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import evidence
-from invdyn.inference.fitting.parameter_draws import ROWS_AT_ONCE, ParameterSet
+from invdyn.inference.fitting.parameter_draws import ParameterSet
 from invdyn.inference.marginalise import body_draws
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.initialise import Problem
@@ -42,6 +42,8 @@ from invdyn.models import ArmModel
 
 BATCHED = frozenset({"laplace", "smc", "nested"})
 """Methods that take sets in a batch."""
+ROWS_AT_ONCE = 20_000
+"""Rows × parameter sets that are linearised in one batch: memory."""
 
 
 def over_sets(

@@ -1,40 +1,54 @@
-"""The mean of a linear-Gaussian chain as one banded least-squares problem.
+"""A linear-Gaussian chain as one banded least-squares problem: its mean path and its evidence.
 
-The chain of :mod:`.square_root`, without errors of linearisation, is the stack of rows
+The chain of :mod:`.square_root` is the stack of rows
 
-    L_0⁻¹ (x_0 − m_0) ≈ 0,    L_{t+1}⁻¹ (x_{t+1} − F_t x_t − a_t) ≈ 0,    E_t x_t ≈ e_t        or    A x ≈ c.
+    L_0⁻¹ (x_0 − m_0) ≈ 0,    N_t⁻¹ (x_{t+1} − F_t x_t − a_t) ≈ 0,    E_t x_t ≈ e_t        or    A x ≈ c,
 
-AᵀA is block-tridiagonal. LAPACK factorises it in one call for all rows, where a recursion takes T turns of Python. That
-its condition number is A's squared is made good by refinement, x ← x + (AᵀA)⁻¹ Aᵀ (c − A x), twice ("corrected
-semi-normal equations": Björck 1996, "Numerical methods for least squares problems", §2.9.4 and §6.6.5).
+where N Nᵀ = L Lᵀ + V Vᵀ. AᵀA is block-tridiagonal. LAPACK factorises it in one call for all rows, where a recursion
+takes T turns of Python. That its condition number is A's squared is made good by refinement, once or twice,
 
-Shapes: as in :mod:`.square_root`, without batch. L must be regular.
+    x ← x + (AᵀA)⁻¹ Aᵀ (c − A x)
+
+("corrected semi-normal equations": Björck 1996, "Numerical methods for least squares problems", §2.9.4
+and §6.6.5). The integral over all paths is that of a Gaussian,
+
+    log ∫ = −Σ log |det N_t| − ½ log |AᵀA| − ½ |A x̂ − c|².
+
+Shapes: as in :mod:`.square_root`, without batch. N must be regular.
 """
 
 import numpy as np
+from scipy.linalg.blas import dtbsv
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from invdyn.inference.smoothing.square_root import apply
+from invdyn.inference.smoothing.square_root import apply, log_abs_det, noise_roots
 from invdyn.models.divergence import Singular
 
 
-def chain_mean(
+def chain_posterior(
     F: np.ndarray,
     a: np.ndarray,
     L: np.ndarray,
     E: np.ndarray,
     e: np.ndarray,
     m0: np.ndarray,
-    refinements: int = 2,
+    V: np.ndarray | None = None,
+    repair: float = 1e-7,
     tolerance: float = 1e-7,
-) -> np.ndarray:
-    """Posterior mean path (T, D), after ``refinements`` steps, the last of a relative size of ``tolerance`` at most.
+    noise: np.ndarray | None = None,
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Posterior mean path (T, D), log-evidence without the observations' normalisers, and a draw less the mean (T, D).
 
-    Raises Singular where there is no band Cholesky factor: a state without noise, or a condition beyond repair.
+    The draw is that of standardised ``noise`` (T, D), zero without: it moves smoothly with the chain's numbers.
+
+    Raises Singular where there is no band Cholesky factor: a state without noise, or a condition beyond repair. The
+    first refinement is at most ``repair`` of the path, for |AᵀA| is that of the factor and not refined; the last one
+    at most ``tolerance``.
     """
-    if not (np.diagonal(L, axis1=-2, axis2=-1) != 0).all():
+    roots = np.concatenate([L[:1], noise_roots(L[1:], V)])
+    if not (np.diagonal(roots, axis1=-2, axis2=-1) != 0).all():
         raise Singular("expected noise in every state; the recursions of square_root.py take chains without")
-    inverse = np.linalg.inv(L)
+    inverse = np.linalg.inv(roots)
     back = inverse[1:] @ F
     within = _gram(inverse) + _gram(E)
     within[:-1] += _gram(back)
@@ -58,14 +72,23 @@ def chain_mean(
 
     chain = apply(inverse, np.concatenate([m0[None], a]))
     x = solved(chain, e)
-    for _ in range(refinements):
-        own, seen = rows(x)
+    own, seen = rows(x)
+    for most in (repair, tolerance):
         step = solved(chain - own, e - seen)
         x = x + step
-    # Columns have length one: a state's standard deviation is at least about that, and less than that is no error.
-    if not np.linalg.norm(step / unit) <= tolerance * (1 + np.linalg.norm(x / unit)):
-        raise Singular("refinement does not settle")
-    return x
+        own, seen = rows(x)
+        # Columns have length one: a state's standard deviation is at least about that, and less is no error.
+        size = np.linalg.norm(step / unit) / (1 + np.linalg.norm(x / unit))
+        if not size <= most:
+            raise Singular("refinement does not settle")
+        if size <= tolerance:
+            break
+    squares = ((chain - own) ** 2).sum() + ((e - seen) ** 2).sum()
+    volume = np.log(unit).sum() - np.log(factor[0]).sum() - log_abs_det(roots).sum()
+    drawn = np.zeros_like(x)
+    if noise is not None:
+        drawn = unit * dtbsv(2 * unit.shape[1] - 1, factor, noise.ravel(), lower=1, trans=1).reshape(unit.shape)
+    return x, float(volume - 0.5 * squares), drawn
 
 
 def _band(within: np.ndarray, off_diagonal: np.ndarray, unit: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
-from invdyn.inference.smoothing.banded import chain_mean
+from invdyn.inference.smoothing.banded import chain_posterior
 from invdyn.inference.smoothing.linearisation import (
     Deviations,
     Linearisation,
@@ -47,7 +47,6 @@ from invdyn.inference.smoothing.square_root import (
     backward,
     forward_covariance,
     forward_mean,
-    log_evidence,
 )
 from invdyn.models.divergence import Diverged, Singular, check_finite
 from invdyn.models.fixed_point import settled
@@ -90,20 +89,33 @@ class GaussianSmoother:
         return pick(self)
 
 
-def solve(linear: Linearisation, damping: np.ndarray | None = None, scale: np.ndarray | None = None) -> BackwardFactors:
-    """Backward factors of a linearised model, damped by rows √μ d/s when ``damping`` (…) and ``scale`` are given."""
-    if damping is not None and scale is not None:
-        linear = _damped(linear, damping, scale)
+def solve(linear: Linearisation) -> BackwardFactors:
+    """Backward factors of a linearised model."""
     return backward(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
 
 
-def evidence_of(linear: Linearisation) -> np.ndarray:
-    """Log-evidence (…) of a linearised model, in half the time of :func:`solve`."""
-    chain = log_evidence(linear.F, linear.a, linear.L, linear.E, linear.e, linear.m0, linear.V)
-    return chain + linear.log_constant
+def mean_and_evidence(linear: Linearisation, **options: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What :func:`.chain_posterior` has of a linearised model's chains (…), in a fraction of :func:`solve`'s time.
+
+    Mean paths (…, T, D), log-evidence (…) and draws less the means (…, T, D): NaN where the chain is :func:`solve`'s,
+    which squares nothing. With a ``repair`` over its default the evidence is not to be relied on.
+    """
+    pieces = [getattr(linear, name) for name in ("F", "a", "L", "E", "e", "m0")]
+    pieces += [] if linear.V is None else [linear.V]
+    batch = linear.m0.shape[:-1]
+    try:
+        found = [chain_posterior(*(piece[chain] for piece in pieces), **options) for chain in np.ndindex(batch)]
+    except Singular:
+        factors = solve(linear)
+        mean = forward_mean(factors, linear.m0)
+        return mean, factors.log_evidence + linear.log_constant, np.full_like(mean, np.nan)
+    mean, evidence, drawn = (np.stack(each) for each in zip(*found, strict=True))
+    shape = (*batch, *mean.shape[1:])
+    return mean.reshape(shape), evidence.reshape(batch) + linear.log_constant, drawn.reshape(shape)
 
 
 def _damped(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> Linearisation:
+    """The same with rows √μ d/s more, of ``damping`` μ (…) and ``scale`` s (D,)."""
     if not np.any(damping > 0):
         return linear
     dim = linear.E.shape[-1]
@@ -235,7 +247,7 @@ def _tried(
 ) -> tuple[np.ndarray, Tensor, Deviations, np.ndarray]:
     """The step from ``path`` of ``linear``, the path after it, what is off there, and log p(x, y) (…)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        step = mean_step(linear, damping, scale)
+        step, *_ = mean_and_evidence(_damped(linear, damping, scale), repair=np.inf)
     # A step that is not finite is refused, and the model is not evaluated there: it may check its values and raise.
     finite = np.isfinite(step).all((-2, -1))
     step = np.where(finite[..., None, None], step, 0.0)
@@ -249,15 +261,3 @@ def bent(linear: Linearisation, step: np.ndarray, there: Deviations) -> Linearis
     """``linear`` with the transitions' deviations as they are after a ``step`` (…, T, D), less its slopes' share."""
     a = there.a - (apply(linear.F, step[..., :-1, :]) - step[..., 1:, :])
     return replace(linear, a=np.where(np.isfinite(a).all((-2, -1), keepdims=True), a, linear.a))
-
-
-def mean_step(linear: Linearisation, damping: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Posterior mean (…, T, D) of a linearised model, damped as in :func:`solve`."""
-    damped = _damped(linear, damping, scale)
-    pieces = [getattr(damped, name) for name in ("F", "a", "L", "E", "e", "m0")]
-    batch = damped.m0.shape[:-1]
-    try:
-        steps = [chain_mean(*(piece[chain] for piece in pieces)) for chain in np.ndindex(batch)]
-    except Singular:
-        return forward_mean(solve(linear, damping, scale), linear.m0)  # the recursions square nothing
-    return np.stack(steps).reshape(*batch, *steps[0].shape)

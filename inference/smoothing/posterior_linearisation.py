@@ -271,7 +271,9 @@ def regress(
 def _root_of_others(covariance: Tensor, independent: Sequence[int]) -> Tensor:
     """What independent states add is linear: over them there is nothing to fit, and nothing of them in the rest."""
     others = [k for k in range(covariance.shape[-1]) if k not in set(independent)]
-    return _root(covariance[..., others, :][..., others] if independent else covariance)
+    whole = covariance[..., others, :][..., others] if independent else covariance
+    shared = covariance.ndim > 3 and covariance.stride(0) == 0  # one of all parameter sets
+    return _root(whole[:1]).expand_as(whole) if shared else _root(whole)
 
 
 def _root(covariance: Tensor) -> Tensor:

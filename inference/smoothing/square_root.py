@@ -115,21 +115,6 @@ def backward(
     return BackwardFactors(U, b, log_c, A, alpha, log_n, gain, offset, root, F, a, error_root, evidence)
 
 
-def log_evidence(
-    F: np.ndarray,
-    a: np.ndarray,
-    L: np.ndarray,
-    E: np.ndarray,
-    e: np.ndarray,
-    m0: np.ndarray,
-    V: np.ndarray | None = None,
-) -> np.ndarray:
-    """Log-evidence (…) as of :func:`backward`, which it takes half the time and little memory for."""
-    U, b, log_c = _likelihoods(F, a, L, E, e, V, keep=False)
-    R, _, _, A, alpha = eliminate(U, b, L[..., :1, :, :])
-    return (log_c - log_abs_det(R))[..., 0] - 0.5 * ((apply(A[..., 0, :, :], m0) - alpha[..., 0, :]) ** 2).sum(-1)
-
-
 def _likelihoods(
     F: np.ndarray,
     a: np.ndarray,
@@ -137,21 +122,19 @@ def _likelihoods(
     E: np.ndarray,
     e: np.ndarray,
     V: np.ndarray | None,
-    keep: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """U, b and log_c of all rows, or of the first alone: the one part that takes rows in turn."""
+    """U, b and log_c of all rows: the one part that takes rows in turn."""
     batch, (steps, rows, dim) = E.shape[:-3], E.shape[-3:]
     if rows > dim + 1:
         seen = np.asarray(np.linalg.qr(np.concatenate([E, e[..., None]], -1), mode="r"))
         E, e, rows = seen[..., :-1], seen[..., -1], dim + 1
-    kept, inner, width = steps if keep else 1, 2 * dim, 2 * dim + 1
-    U, b = np.zeros((*batch, kept, dim, dim)), np.zeros((*batch, kept, dim))
+    inner, width = 2 * dim, 2 * dim + 1
+    U, b = np.zeros((*batch, steps, dim, dim)), np.zeros((*batch, steps, dim))
     diagonals = np.zeros((*batch, steps, width))
     stacked = np.zeros((*batch, inner + max(rows, 1), width))
     stacked[..., np.arange(dim), np.arange(dim)] = 1.0
     onward = np.empty(0)
     for t in range(steps - 1, -1, -1):
-        here, later = (t, t + 1) if keep else (0, 0)
         if t < steps - 1:
             if (place := t % ROWS_AT_ONCE) == ROWS_AT_ONCE - 1 or t == steps - 2:
                 block = slice(t - place, t + 1)
@@ -161,28 +144,33 @@ def _likelihoods(
                     L[..., 1:, :, :][..., block, :, :],
                     None if V is None else V[..., block, :, :],
                 )
-            stacked[..., dim:inner, :] = U[..., later, :, :] @ onward[..., place, :, :]
-            stacked[..., dim:inner, inner] += b[..., later, :]
+            stacked[..., dim:inner, :] = U[..., t + 1, :, :] @ onward[..., place, :, :]
+            stacked[..., dim:inner, inner] += b[..., t + 1, :]
         stacked[..., inner : inner + rows, dim:inner] = E[..., t, :, :]
         stacked[..., inner : inner + rows, inner] = e[..., t, :]
         triangle = _reduced(stacked)
-        np.multiply(triangle[..., dim:inner, dim:inner], _upper(dim), out=U[..., here, :, :])
-        b[..., here, :] = triangle[..., dim:inner, inner]
+        np.multiply(triangle[..., dim:inner, dim:inner], _upper(dim), out=U[..., t, :, :])
+        b[..., t, :] = triangle[..., dim:inner, inner]
         diagonals[..., t, :] = triangle.diagonal(0, -2, -1)
 
     # What each row adds to the constant, summed from the last row on; the last row has no noise after it.
     folded = -0.5 * diagonals[..., inner] ** 2
     folded[..., :-1] -= np.log(np.abs(diagonals[..., :-1, :dim])).sum(-1)
     log_c = np.cumsum(folded[..., ::-1], -1)[..., ::-1].copy()  # torch takes no negative strides
-    return U, b, log_c if keep else log_c[..., :1]
+    return U, b, log_c
 
 
 def _onward(F: np.ndarray, a: np.ndarray, L: np.ndarray, V: np.ndarray | None) -> np.ndarray:
-    """N, F and −a (…, T, D, 2D + 1) of some transitions, with N Nᵀ = L Lᵀ + V Vᵀ."""
-    if V is not None and V.shape[-1]:
-        both = np.swapaxes(np.concatenate([L, V], -1), -1, -2)
-        L = np.swapaxes(np.linalg.qr(both, mode="r"), -1, -2)
-    return np.concatenate([L, F, -a[..., None]], -1)
+    """N, F and −a (…, T, D, 2D + 1) of some transitions."""
+    return np.concatenate([noise_roots(L, V), F, -a[..., None]], -1)
+
+
+def noise_roots(L: np.ndarray, V: np.ndarray | None) -> np.ndarray:
+    """N (…, D, D) with N Nᵀ = L Lᵀ + V Vᵀ."""
+    if V is None or not V.shape[-1]:
+        return L
+    both = np.swapaxes(np.concatenate([L, V], -1), -1, -2)
+    return np.swapaxes(np.linalg.qr(both, mode="r"), -1, -2)
 
 
 def eliminate(U: np.ndarray, b: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, ...]:

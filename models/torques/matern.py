@@ -38,6 +38,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.models.shapes import join
 from invdyn.models.torques.base import Parameters, TorqueProcess, from_torques
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
@@ -84,9 +85,9 @@ class Matern(TorqueProcess):
 
     def mean(self, z: Tensor, dt: Tensor, parameters: Parameters) -> Tensor:
         """A(δ) z, (..., nK)."""
-        blocks = z.unflatten(-1, (self.order, -1)).transpose(-1, -2)  # (..., K, n)
-        matrix = self._propagator(self._rate(parameters), dt)
-        return (matrix * blocks.unsqueeze(-2)).sum(-1).transpose(-1, -2).flatten(-2)
+        parts = z.unflatten(-1, (self.order, -1)).unbind(-2)  # each (..., K): whole columns take half the time
+        rows = self._propagator(self._rate(parameters), dt).unbind(-2)
+        return join(*(sum(own * part for own, part in zip(row.unbind(-1), parts, strict=True)) for row in rows))
 
     def noise(self, dt: Tensor, parameters: Parameters) -> Tensor:
         """Lower-triangular square root of Q(δ), (..., nK, nK)."""

@@ -7,11 +7,13 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from pages import script
 from scipy.optimize import minimize
 
-from invdyn.inference.fitting.laplace_evidence import CURVATURE_STEP, fit_at_mode
 from invdyn.inference.fitting.marginal_likelihood import Free
 
+SCRIPT = script("benchmarks/laplace_evidence.py")
+CURVATURE_STEP, fit_at_mode = SCRIPT.CURVATURE_STEP, SCRIPT.fit_at_mode
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]
 STEPS = 60
 

@@ -38,13 +38,14 @@ def seen():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_gauss_newton_continues_after_a_step_that_is_not_finite(seen, monkeypatch, value):
-    expected, steps, whole = gauss_newton(*seen), [], SMOOTHER.mean_step
+    expected, steps, whole = gauss_newton(*seen), [], SMOOTHER.mean_and_evidence
 
-    def stray(*arguments):
-        steps.append(whole(*arguments))
-        return np.full_like(steps[-1], value) if len(steps) == 1 else steps[-1]
+    def stray(*arguments, **options):
+        steps.append(whole(*arguments, **options))
+        mean, *others = steps[-1]
+        return (np.full_like(mean, value) if len(steps) == 1 else mean), *others
 
-    monkeypatch.setattr(SMOOTHER, "mean_step", stray)
+    monkeypatch.setattr(SMOOTHER, "mean_and_evidence", stray)
     found = gauss_newton(*seen)
     assert len(steps) > 1
     assert found.path.numpy() == pytest.approx(expected.path.numpy(), abs=1e-6)
