@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from invdyn.blindcheck.pieces import Piece, pieces_of, sites_at
 from invdyn.models import Body
 from invdyn.models.bodies.inertia import six
-from invdyn.models.bodies.mujoco_model import kept_warnings
+from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
 
 MAX_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
 MAX_REPLAY_STEP = 2e-3

@@ -18,7 +18,6 @@ Shapes: observation rows (T, O), K links, C candidates (values of q, rad/s/√s)
 """
 
 from collections.abc import Sequence
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -109,7 +108,6 @@ def _first_seen(column: np.ndarray) -> float:
     return float(column[seen[0]]) if len(seen) else np.nan
 
 
-@singledispatch
 def joint_angle_candidates(
     body: ArticulatedBody,
     time: np.ndarray,
@@ -120,26 +118,13 @@ def joint_angle_candidates(
 ) -> np.ndarray | None:
     """Smoothed joint angles (C, T, K), rad, of a body with these ``numbers``; None when some joint is never seen.
 
-    ``sd`` (K,): noise of the measured angles, rad. One line for each kind of body whose keypoints tell angles, by
-    ``joint_angle_candidates.register``; of any other its encoders do.
+    ``sd`` (K,): noise of the measured angles, rad. Of a body of one's own encoders alone tell angles.
     """
-    if not observation.encoders:
-        return None
-    measured = observation.of(observation.encoders, observations.detach().cpu().double().numpy())
-    if not np.isfinite(measured).any(axis=0).all():
-        return None
-    return smooth_angles(time, measured, sd, wrap=False)
-
-
-@joint_angle_candidates.register
-def _(
-    body: Body,
-    time: np.ndarray,
-    observations: Tensor,
-    observation: Observation,
-    numbers: Any,
-    sd: np.ndarray,
-) -> np.ndarray | None:
+    if not isinstance(body, Body):
+        if not observation.encoders:
+            return None
+        measured = observation.of(observation.encoders, observations.detach().cpu().double().numpy())
+        return smooth_angles(time, measured, sd, wrap=False) if np.isfinite(measured).any(axis=0).all() else None
     if not body.is_chain:
         return pose_candidates(body, time, observations, observation, numbers, sd, AGILITY)
     absolute, wrapped = link_angles(observations, observation, numbers)

@@ -31,7 +31,7 @@ from invdyn.diagnosis.sensitivity.sensitivities import slopes
 from invdyn.diagnosis.sensitivity.whiten import filter_of, whiten
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.parameter import Parameter
+from invdyn.models.effects.scale import Parameter
 
 
 @dataclass

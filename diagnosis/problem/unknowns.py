@@ -17,7 +17,7 @@ from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import Effect
-from invdyn.models.effects.parameter import Parameter
+from invdyn.models.effects.scale import Parameter
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from invdyn.diagnosis.write_back.file_numbers import FileNumbers
 from invdyn.diagnosis.write_back.rollout import commands, smoothed_states
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
-from invdyn.models.bodies.joint_parts_mjcf import joint_names
-from invdyn.models.bodies.mujoco_model import kept_warnings
+from invdyn.models.bodies.joint_parts_mjcf import joint_names, kept_warnings
 from invdyn.recordings import Recording
 
 GIVEN = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)

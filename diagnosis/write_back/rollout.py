@@ -25,8 +25,7 @@ from invdyn.diagnosis.regression.wiener_smoother import smooth
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
-from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
-from invdyn.models.bodies.mujoco_model import kept_warnings
+from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names, kept_warnings
 from invdyn.recordings import InputError, Recording
 
 

@@ -18,8 +18,8 @@ from invdyn.inference.posterior.layout import check_layout
 from invdyn.inference.posterior.posterior import equally_weighted, joined_chains
 from invdyn.inference.posterior.problem import DRAWS
 from invdyn.recordings import InputError, atomic_path, resolved
+from invdyn.recordings.budget import check_hdf5
 from invdyn.recordings.errors import about, first_line
-from invdyn.recordings.hdf5_size import check_hdf5
 
 COMPRESSED = 32e6
 """Bytes up to which a posterior is compressed."""

@@ -7,7 +7,7 @@ is constant or moves as the motors make it (:class:`.drive.RowDrive`). Effects a
     a base that moves                         as gravity −b̈ more, at the same moments
     dry friction                              once a sub-step, at its mean about a stop: :mod:`.effects.dry_friction`
     a hidden hinge                            has a step of its own: :mod:`.effects.hidden`
-    bristles                                  the same: :mod:`.effects.bristles`
+    bristles                                  the same: :mod:`.effects.regularised_friction`
     what follows the body                     from one row to the next, after it
 
 Shapes: joint quantities (..., K), all hidden states of effects (..., H).
@@ -25,10 +25,10 @@ from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
-from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import HiddenHinge, Motion, Row, tip_motion
+from invdyn.models.effects.regularised_friction import BristleFriction
 
 
 @dataclass(frozen=True, eq=False)

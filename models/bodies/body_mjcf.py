@@ -16,7 +16,7 @@ import numpy as np
 
 from invdyn.models.bodies import body_mjcf_left_out, joint_parts_mjcf
 from invdyn.models.bodies.body_mjcf_file import one_text
-from invdyn.models.bodies.mujoco_model import kept_warnings, without_disabled
+from invdyn.models.bodies.joint_parts_mjcf import kept_warnings, without_disabled
 from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.models.bodies.mujoco_model import acts
+from invdyn.models.bodies.joint_parts_mjcf import acts
 from invdyn.models.bodies.parts import listed
 
 AT_JOINTS = {

@@ -6,8 +6,7 @@ from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, HiddenHinge
 from invdyn.models.effects.motors import Actuator
-from invdyn.models.effects.parameter import Parameter, Values
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.scale import Parameter, Scale, Values
 from invdyn.models.observation.view import View
 
 # Last: it imports the effects' files, which may itself import from here what stands above.

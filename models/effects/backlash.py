@@ -93,16 +93,15 @@ class Backlash(HiddenHinge):
         j = self.place[0]
         return joined_by_column(angles[..., : j + 1], angles[..., j + 2 :])
 
-    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """One row; see :meth:`HiddenHinge.step`."""
+    def rigid(self, p: Values) -> Tensor:
+        """No width."""
+        return p["width"] <= 0
+
+    def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """One row; see :meth:`HiddenHinge.bent`."""
         arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
         j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
-        none, tight = half <= 0, None
-        if bool(none.any()):
-            tight = (torch.zeros_like(hidden), *rk4(partial(arm.held, psi), q, qd, dt, row.parts))
-            if bool(none.all()):
-                return tight
         taken = torch.zeros_like(psi)  # sub-steps; what ends one early leaves the rest of it to the next
         loosened = taken > 0
         for left in reversed(range(parts + CONTACTS)):
@@ -143,11 +142,7 @@ class Backlash(HiddenHinge):
             taken = torch.where(loosened | hit, early, torch.where(going, started + 1, taken))
             if bool((taken >= parts).all()):
                 break
-        loose = (join(psi, rate), q, qd)
-        if tight is None:
-            return loose
-        state, q, qd = (torch.where(none, rigid, own) for rigid, own in zip(tight, loose, strict=True))
-        return state, q, qd
+        return join(psi, rate), q, qd
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,7 @@ from torch.nn.functional import one_hot
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.effect_context import Situation
-from invdyn.models.effects.parameter import Parameter, Values, change, quantiles
-from invdyn.models.effects.scale import Scale
+from invdyn.models.effects.scale import Parameter, Scale, Values, change, quantiles
 from invdyn.models.observation.view import View
 
 __all__ = [

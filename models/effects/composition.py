@@ -11,11 +11,11 @@ from torch import Tensor
 
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.base import MOTION, PREFIX, STAGES, Effect, stages_of
-from invdyn.models.effects.bristles import BristleFriction
 from invdyn.models.effects.command import Command
 from invdyn.models.effects.dry_friction import dry_friction
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import Follower, Hidden, HiddenHinge
+from invdyn.models.effects.regularised_friction import BristleFriction
 from invdyn.models.observation.view import Outlier, Shift, Swap, View
 
 PARTS = 8

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.planar import BodyParameters
+from invdyn.models.dynamics.integrators import rk4
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Effect, Scale, Values
@@ -111,11 +112,32 @@ class HiddenHinge(Hidden):
         return joined_by_column(values[..., : k + 1], torch.zeros_like(values[..., :1]), values[..., k + 1 :])
 
     @abstractmethod
-    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later.
+    def rigid(self, p: Values) -> Tensor:
+        """Where (..., 1) its parameters make no hinge of it."""
+
+    @abstractmethod
+    def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(ψ, ψ̇) (..., 2), q and q̇ (..., K) one row later, where it is a hinge.
 
         By Runge–Kutta of order 4, with any integrator of the model.
         """
+
+    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The same anywhere: of an arm without hinge, the rigid one's, and ψ at 0."""
+
+        def locked(q: Tensor, qd: Tensor, s: float) -> Tensor:
+            torque, own = row.net(q, qd, s)
+            return row.rigid.forward(q, qd, torque, row.body, own)
+
+        rigid = self.rigid(p)
+        if not bool(rigid.any()):
+            return self.bent(p, row, hidden, q, qd)
+        still = torch.zeros_like(hidden), *rk4(locked, q, qd, row.dt, row.parts)
+        if bool(rigid.all()):
+            return still
+        bent = self.bent(p, row, hidden, q, qd)
+        state, q, qd = (torch.where(rigid, *each) for each in zip(still, bent, strict=True))
+        return state, q, qd
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""

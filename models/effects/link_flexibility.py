@@ -88,21 +88,14 @@ class LinkFlexibility(HiddenHinge):
         k = self.place[0]
         return joined_by_column(angles[..., : k + 1], angles[..., k + 2 :]), angles[..., k + 1 : k + 2]
 
-    def step(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """One row; see :meth:`HiddenHinge.step`."""
+    def rigid(self, p: Values) -> Tensor:
+        """An infinite stiffness."""
+        return torch.isinf(p["stiffness"])
+
+    def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """One row; see :meth:`HiddenHinge.bent`."""
         links = self.chain(p, row.body)
         whole: Dynamics = planar_dynamics(q.shape[-1] + 1)
-        stiff = torch.isinf(p["stiffness"])
-
-        def held(q: Tensor, qd: Tensor, s: float) -> Tensor:
-            torque, own = row.net(q, qd, s)
-            return row.rigid.forward(q, qd, torque, row.body, own)
-
-        locked = None
-        if bool(stiff.any()):
-            locked = (torch.zeros_like(hidden), *rk4(held, q, qd, row.dt, row.parts))
-            if bool(stiff.all()):
-                return locked
         parts = substeps_for(row.dt, FASTEST, row.parts)
         angles = self.all_hinges(q, hidden[..., :1])
         stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)
@@ -115,11 +108,7 @@ class LinkFlexibility(HiddenHinge):
 
         angles, rates = rk4(bending, angles, self.all_hinges(qd, hidden[..., 1:]), row.dt, parts)
         (q, hinge), (qd, rate) = self.gathered(angles), self.gathered(rates)
-        bent = (join(hinge, rate), q, qd)
-        if locked is None:
-            return bent
-        state, q, qd = (torch.where(stiff, rigid, own) for rigid, own in zip(locked, bent, strict=True))
-        return state, q, qd
+        return join(hinge, rate), q, qd
 
     def _resolved(self, p: Values, inertia: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
         """Stiffness and damping, no larger than sub-steps of this length, s, are stable with."""

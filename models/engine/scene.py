@@ -18,7 +18,7 @@ import torch
 
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.body_xml import MOST_BYTES, parse
-from invdyn.models.bodies.mujoco_model import kept_warnings
+from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.models.bodies.mujoco_model import kept_warnings
+from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
 
 AT_ONCE = 2**22
 """Numbers of states and sensors that one batch may fill."""

@@ -24,9 +24,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ..budget import memory_limit
+from ..budget import check_hdf5, memory_limit
 from ..errors import InputError, about, readable
-from ..hdf5_size import check_hdf5
 from ..naming import choose_individual
 from ..recording import Recording
 from ..tables import read_numbers, read_rows

@@ -15,8 +15,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from ..budget import bytes_of
 from ..errors import InputError, readable
-from ..hdf5_size import bytes_of
 from ..limits import LIMITS
 from ..naming import choose_individual
 from ..paths import check_readable

@@ -16,11 +16,10 @@ from ..recording import Recording
 from ..tables import read_header
 from .c3d import read_c3d
 from .deeplabcut import read_deeplabcut_csv, read_deeplabcut_h5
-from .movement_package import read_with_movement
+from .movement_package import FIRST, read_sleap_csv, read_with_movement
 from .nexus_csv import is_nexus, read_nexus_csv
 from .nwb_pose import read_nwb_pose
 from .opensim import TRC_AXES, motion_unit, read_motion, read_trc
-from .sleap_csv import FIRST, read_sleap_csv
 
 
 @dataclass(frozen=True)

@@ -115,24 +115,11 @@ class SpatialDynamics(Dynamics):
         """The load c(q) in a gravity ``field`` (..., d) m/s² that may differ from one state to the next, (..., K)."""
         return self._evaluate("uniform_load", p, q=q, field=field)
 
-    def forward(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        tau: Tensor,
-        p: Any,
-        own_inertia: Tensor | None = None,
-    ) -> Tensor:
+    def forward(self, q: Tensor, qd: Tensor, tau: Tensor, p: Any, own_inertia: Tensor | None = None) -> Tensor:
         """q̈ = (D + diag I_own)⁻¹(τ − h − c), rad/s² or m/s², (..., K)."""
         return self._evaluate("forward", p, q=q, qd=qd, tau=tau, own=own_inertia)
 
-    def response(
-        self,
-        q: Tensor,
-        tau: Tensor,
-        p: Any,
-        own_inertia: Tensor | None = None,
-    ) -> Tensor:
+    def response(self, q: Tensor, tau: Tensor, p: Any, own_inertia: Tensor | None = None) -> Tensor:
         """(D + diag I_own)⁻¹ τ, rad/s² or m/s², (..., K)."""
         return self._evaluate("response", p, q=q, tau=tau, own=own_inertia)
 

@@ -7,7 +7,7 @@ from rod import F64, INERTIA, rod, rolled
 from scipy.integrate import solve_ivp
 
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, LoadFriction, StribeckFriction, ViscousFriction
-from invdyn.models.effects.bristles import BristleFriction
+from invdyn.models.effects.regularised_friction import BristleFriction
 
 STRIBECK = {"coulomb": 0.3, "static": 0.6, "velocity": 1.0}
 ROWS, STEP = 301, 0.01

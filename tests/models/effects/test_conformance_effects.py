@@ -14,8 +14,7 @@ from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.models import Encoders, Keypoints, Observation
 from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
-from invdyn.models.effects.bristles import BristleFriction
-from invdyn.models.effects.regularised_friction import RegularisedFriction
+from invdyn.models.effects.regularised_friction import BristleFriction, RegularisedFriction
 from invdyn.models.observation.missing import observed_log_prob
 
 F32, F64 = torch.float32, torch.float64
