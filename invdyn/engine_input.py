@@ -64,13 +64,9 @@ def infer_by_engine(
     from invdyn.inference.infer_engine import DRAWS, FILTERS, PARTICLES, infer_engine
     from invdyn.models import TORQUE_PROCESSES
     from invdyn.recordings import load, read_truth
-    from invdyn.recordings.plane import FLAT, in_space
 
     _refuse_unused(given, UNUSED)
-    seen = load(given.recording, **_reading(given))
-    flat = given.plane is not None or not in_space(seen)
-    scene = _scene(given, 2 if flat and seen.keypoint_names else 3)
-    recording = _recording(given, scene, scene.joint_names, (given.plane or FLAT) if flat else None)
+    recording, scene = _recording(given, load(given.recording, **_reading(given)))
     usual = type(given).__dataclass_fields__
     truth = None if given.truth is None else read_truth(given.truth)
     sizes: dict[str, Any] = {
@@ -108,18 +104,21 @@ def _refuse_unused(given: "Recorded", unused: Sequence[str]) -> None:
             raise InputError(f"--{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
 
 
-def _scene(given: "Recorded", dimensions: int) -> "Scene":
+def _recording(given: "Recorded", seen: "Recording", actuators: bool = False) -> "tuple[Recording, Scene]":
+    """The table, in metres, of keypoints, joints and, if asked for, actuators that the body's file has; and its scene.
+
+    ``seen`` is the table as it stands, which tells whether it lies in a plane.
+    """
     from invdyn.models import Scene
-
-    with body_file(str(given.body)) as path:
-        return Scene.of(Path(path), dimensions=dimensions)
-
-
-def _recording(given: "Recorded", scene: "Scene", columns: Sequence[str], plane: str | None) -> "Recording":
-    """The table, in metres, of keypoints that the scene has and of ``columns`` by name."""
     from invdyn.recordings import FORMATS, InputError, load
     from invdyn.recordings.formats.registry import recognise
+    from invdyn.recordings.plane import FLAT, in_space
 
+    flat = given.plane is not None or not in_space(seen)
+    with body_file(str(given.body)) as path:
+        scene = Scene.of(Path(path), dimensions=2 if flat and seen.keypoint_names else 3)
+    columns = tuple(dict.fromkeys((*scene.joint_names, *(scene.actuator_names if actuators else ()))))
+    plane = (given.plane or FLAT) if flat and seen.keypoint_names else None
     name = given.recording
     slides = tuple(
         joint for joint, dof in zip(scene.joint_names, scene.model.dof_jntid, strict=True)
@@ -132,7 +131,7 @@ def _recording(given: "Recorded", scene: "Scene", columns: Sequence[str], plane:
     own = Path(name).exists() and FORMATS[recognise(Path(name), given.format)].read is None
     if not own and any(point in sites for point in points):
         recording = recording.with_keypoints([point for point in points if point in sites])
-    return recording.at(frame_range(given.frames))
+    return recording.at(frame_range(given.frames)), scene
 
 
 def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, list[str]] | None":
@@ -146,7 +145,6 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     from invdyn.diagnosis.engine.problem import sensed
     from invdyn.models.engine.needed import touched
     from invdyn.recordings import InputError, load
-    from invdyn.recordings.plane import FLAT, in_space
 
     several = len(given.recordings) > 1
     if several and engine == "mujoco":
@@ -157,11 +155,7 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     seen = load(given.recording, **_reading(given))
     if engine == "auto" and (given.hide_torque or not (given.zero_torque or seen.torques is not None)):
         return None
-    flat = given.plane is not None or not in_space(seen)
-    scene = _scene(given, 2 if flat and seen.keypoint_names else 3)
-    columns = tuple(dict.fromkeys((*scene.joint_names, *scene.actuator_names)))
-    plane = (given.plane or FLAT) if flat and seen.keypoint_names else None
-    recording = _recording(given, scene, columns, plane)
+    recording, scene = _recording(given, seen, actuators=True)
     by_contact = engine == "auto" and all(reason.startswith("contact of") for reason in reasons)
     if by_contact and not touched(scene, recording.angles, recording.joint_names):
         return None
