@@ -221,8 +221,6 @@ def with_estimated(body: Any, numbers: str) -> Any:
 
     Raises InputError for what is no such list, or no joint of the body has; BodyError for an unknown number.
     """
-    from dataclasses import replace
-
     from invdyn.models.bodies.joint_parts import NOTHING, PARTS
     from invdyn.recordings import InputError
 

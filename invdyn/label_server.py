@@ -88,7 +88,7 @@ class LabelServer(ThreadingHTTPServer):
             self.size = picture.shape[1::-1]
             self.pictures[f"picture/{place}"] = _encoded(picture)
             found = np.full((len(names), 3), np.nan) if suggest is None else suggest(picture)
-            self.suggested.append(_or_null(found[:, :2]))
+            self.suggested.append([None if np.isnan(point).any() else point.tolist() for point in found[:, :2]])
         self.active, self._counting = 0, threading.Lock()
         self.pages: set[int] = set()  # that are open
         self._numbered, self._done, self.over = 0, False, False
@@ -283,11 +283,6 @@ def _hang_up(connection: socket.socket) -> None:
 def _as_list(change: Change) -> list:
     """A change as JSON has it."""
     return [change.picture, change.keypoint, change.point, change.version]
-
-
-def _or_null(points: np.ndarray) -> list[list[float] | None]:
-    """Points (P, 2) as JSON has them."""
-    return [None if np.isnan(point).any() else point.tolist() for point in points]
 
 
 def _encoded(picture: np.ndarray) -> bytes:

@@ -152,7 +152,10 @@ def _axes(joint: Element, where: str, coupled: list[str]) -> list[_Axis]:
         known = ", ".join([*PLAIN, "CustomJoint"])
         raise BodyError(f"{where}: expected a joint among {known}, got {joint.tag:.60}")
     for each in found:
-        if each.coordinate is not None and _is(coordinates[each.coordinate], "locked"):
+        if (
+            each.coordinate is not None
+            and coordinates[each.coordinate].findtext("locked", "").strip().lower() == "true"
+        ):
             each.offset += _default(coordinates[each.coordinate], where)
             each.coordinate = None
     return found
@@ -221,7 +224,3 @@ def _inverse(frame: Frame) -> Frame:
 
 def _default(coordinate: Element, where: str) -> float:
     return float(numbers(coordinate, "default_value", where, "0")[0])
-
-
-def _is(coordinate: Element, flag: str) -> bool:
-    return (coordinate.findtext(flag) or "").strip().lower() == "true"

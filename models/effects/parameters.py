@@ -28,7 +28,9 @@ def parameters_of(
             if start is None:
                 start = parameter.grid[len(parameter.grid) // 2] if parameter.grid else parameter.prior.mean.item()
             starts[name] = torch.full((1,), start, dtype=dtype, device=device)
-            priors[name] = _of_dtype(parameter.prior, dtype).expand((1,)).to_event(1)
+            prior = parameter.prior  # Pyro's are float32 when written with plain numbers
+            numbers = {each: getattr(prior, each).to(dtype) for each in prior.arg_constraints}
+            priors[name] = type(prior)(**numbers).expand((1,)).to_event(1)
     return starts, priors
 
 
@@ -59,8 +61,3 @@ def is_signed(prior: Distribution) -> bool:
     """Whether a parameter may be negative."""
     support = getattr(prior.support, "base_constraint", prior.support)
     return support is constraints.real
-
-
-def _of_dtype(prior: Distribution, dtype: torch.dtype) -> Distribution:
-    """A scalar distribution in the model's type: Pyro's are float32 when written with plain numbers."""
-    return type(prior)(**{name: getattr(prior, name).to(dtype) for name in prior.arg_constraints})

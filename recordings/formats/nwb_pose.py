@@ -54,7 +54,10 @@ def _recording(store: h5py.File, individual: str | None, name: str) -> Recording
     if any(len(time) != len(times[0]) or not np.array_equal(time, times[0]) for time in times):
         raise InputError("its keypoints were seen at different times: expected the same timestamps for all of them")
     points = np.stack([_scaled(_child(each, "data"), len(times[0])) for each in tracks.values()], axis=1)
-    confidence = [_confidence(each, len(times[0])) for each in tracks.values()]
+    confidence = [
+        _numbers(_child(each, "confidence")) if "confidence" in each else np.full(len(times[0]), np.nan)
+        for each in tracks.values()
+    ]
     return Recording(
         time=times[0],
         keypoints=points,
@@ -102,10 +105,6 @@ def _scaled(data: h5py.Dataset, rows: int) -> np.ndarray:
     if values.ndim != 2 or values.shape[0] != rows or values.shape[1] not in (2, 3):
         raise InputError(f"{data.name} has shape {values.shape}: expected ({rows}, 2) or ({rows}, 3)")
     return values * float(data.attrs.get("conversion", 1.0)) + float(data.attrs.get("offset", 0.0))
-
-
-def _confidence(series: h5py.Group, rows: int) -> np.ndarray:
-    return _numbers(_child(series, "confidence")) if "confidence" in series else np.full(rows, np.nan)
 
 
 def _numbers(stored: h5py.Dataset) -> np.ndarray:

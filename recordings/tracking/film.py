@@ -64,7 +64,9 @@ class Film:
             self.expected = int(stream.frames or round(seconds * rate))
             self.aspect = float(stream.sample_aspect_ratio or 1)
             if stream.frames:  # 0 where a file does not state it
-                self._check_shown(stream.frames, sum(1 for each in container.demux(stream) if _is_shown(each)))
+                self._check_shown(
+                    stream.frames, sum(each.size > 0 and not each.is_discard for each in container.demux(stream))
+                )
 
     def _check_shown(self, stored: int, shown: int) -> None:
         """Raise InputError, or warn, where pictures that the file holds lie outside the times that it shows."""
@@ -136,10 +138,6 @@ def import_av(path: str | Path | None = None) -> ModuleType:
         where = "" if path is None else f"{path}: "
         raise InputError(f"{where}reading a film needs more packages: pip install 'invdyn[tracking]'") from None
     return av
-
-
-def _is_shown(packet: Any) -> bool:
-    return packet.size > 0 and not packet.is_discard
 
 
 def _upright(frame: Any, size: tuple[int, int] | None) -> np.ndarray:
