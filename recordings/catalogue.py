@@ -145,15 +145,10 @@ def load_truth(name: str) -> Truth:
     return truth
 
 
-def _entry(name: str) -> Named:
+def _load(name: str) -> tuple[Recording, Truth | None]:
     if name not in CATALOGUE:
         raise InputError(f"no recording is named {name!r}; known are {', '.join(CATALOGUE)}")
-    return CATALOGUE[name]
-
-
-def _load(name: str) -> tuple[Recording, Truth | None]:
-    entry = _entry(name)
-    recording, truth = entry.read(*(fetch(source) for source in entry.sources))
+    recording, truth = CATALOGUE[name].read(*map(fetch, CATALOGUE[name].sources))
     return replace(recording, name=name), truth
 
 
