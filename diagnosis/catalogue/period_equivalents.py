@@ -35,9 +35,9 @@ def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) ->
     """
     p = {f"effect.{effect.key}.{name}": torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
     alone = Composition((effect,))
-    changed, own = alone.body(p, body), alone.inertia(p, 1)
+    changed, own = alone.through("body", p, body), alone.inertia(p, 1)
     inertia = _inertia(changed) + (0.0 if own is None else own)
-    step = alone.interval(p, torch.ones(1, dtype=torch.float64))
+    step = alone.through("interval", p, torch.ones(1, dtype=torch.float64))
     return float(inertia / _inertia(body) * _moment(body) / _moment(changed) / step**2)
 
 
