@@ -254,18 +254,19 @@ def diagnose(
         check_write_back(str(given.body), write_back)
     count, copies = ensemble or (0, None)
     if copies is not None:
-        from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble
+        from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble, write_members
 
         check_ensemble(count)
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
-        members = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
-        check_folder(copies, [copies / "randomisation.json", *members], given.files)
+        files = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
+        check_folder(copies, [copies / "randomisation.json", *files], given.files)
     if (played := engine_log_of(given, engine)) is not None:
-        if ensemble is not None:
-            raise InputError("--ensemble: has no part in MuJoCo's engine: leave it out, or --set engine=own")
         with ProgressBar() as progress:
-            diagnosis = diagnose_by_engine(given, *played, progress, write_back)
+            diagnosis, members = diagnose_by_engine(given, *played, progress, write_back, count)
         with new_folder(out), whole_set():
+            if copies is not None:
+                with new_folder(copies):
+                    write_members(diagnosis, Path(str(given.body)).suffix, members, copies)
             save(diagnosis, out)
         say(f"engine     {diagnosis.method['engine']}")
         say("\n".join([verdict(diagnosis), *details(diagnosis), outputs.listing()]))

@@ -20,8 +20,8 @@ ENGINES = ("auto", "mujoco", "own")
 UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint", "forces")
 """Options that have no part in an inference by MuJoCo's engine."""
 UNUSED_IN_DIAGNOSIS = (
-    *("others", "held_out", "camera", "estimate", "budget", "force", "hide_torque", "checkpoint", "scale", "base"),
-    *("calibration", "tracker", "workers"),
+    *("camera", "estimate", "budget", "hide_torque", "checkpoint"),
+    *("scale", "base", "calibration", "tracker", "workers"),
 )
 """The same of a diagnosis."""
 
@@ -134,8 +134,22 @@ def _recording(given: "Recorded", seen: "Recording", actuators: bool = False) ->
     return recording.at(frame_range(given.frames)), scene
 
 
-def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, list[str]] | None":
-    """A log, its simulation, and why MuJoCo's engine diagnoses it; None where it does not.
+def _another(given: "Diagnosed", name: str) -> "Recording":
+    """One more table, whole."""
+    from dataclasses import replace
+
+    from invdyn.recordings import load
+
+    given = replace(given, recordings=[name], frames=type(given).__dataclass_fields__["frames"].default)
+    return _recording(given, load(name, **_reading(given)), actuators=True)[0]
+
+
+Played = "tuple[list[Recording], Recording | None, Scene, list[str]]"
+"""Logs, the one that is held out, their simulation, and why MuJoCo plays it."""
+
+
+def engine_log_of(given: "Diagnosed", engine: str) -> "Played | None":
+    """The logs, their simulation, and why MuJoCo's engine diagnoses it; None where it does not.
 
     By default it does where the file has equality constraints, tendons, muscles or lagging actuators, or where the
     joints' own angles touch what stands in the world; and commands are known. A log of encoders that lacks one of the
@@ -148,7 +162,7 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
 
     several = len(given.recordings) > 1
     if several and engine == "mujoco":
-        raise InputError("--set engine=mujoco: expected one recording, got several: diagnose them one by one")
+        raise InputError("--set engine=mujoco: expected one recording, got several: name the others with --with")
     reasons = None if several else engine_reasons(given, engine)
     if reasons is None:
         return None
@@ -163,40 +177,52 @@ def engine_log_of(given: "Diagnosed", engine: str) -> "tuple[Recording, Scene, l
     if by_encoders and not by_contact and set(scene.joint_names) - set(sensed(recording, scene).joint_names):
         return None  # a gripper's tendon, say, of an arm's log: nothing shows it
     _refuse_unused(given, UNUSED_IN_DIAGNOSIS)
-    return recording, scene, reasons
+    held_out = None if given.held_out is None else _another(given, given.held_out)
+    return [recording, *(_another(given, name) for name in given.more)], held_out, scene, reasons
 
 
 def diagnose_by_engine(
     given: "Diagnosed",
-    recording: "Recording",
+    recordings: "list[Recording]",
+    held_out: "Recording | None",
     scene: "Scene",
     reasons: list[str],
     progress: Callable[..., Any],
     out: Path | None,
+    members: int,
 ) -> Any:
-    """The diagnosis, with a corrected copy of the body's file as ``out``. Raises InputError or OSError."""
+    """The diagnosis, with a corrected copy of the body's file as ``out``, and ``members`` of an ensemble.
+
+    Raises InputError or OSError.
+    """
     from dataclasses import replace
+    from functools import partial
 
     from invdyn.diagnosis.engine.diagnose import diagnose_engine
-    from invdyn.diagnosis.engine.write_back import write_back
+    from invdyn.diagnosis.engine.write_back import copies, write_back
     from invdyn.diagnosis.rules import DEFAULT
 
     tolerance = given.tolerance
     if tolerance is None and given.robot:
         tolerance = DEFAULT.evidence.robot_tolerance
     rules = DEFAULT if tolerance is None else DEFAULT.replace(tolerance=tolerance)
+    passive = given.zero_torque
+    without = partial(replace, torques=None) if passive else lambda each: each
     diagnosis = diagnose_engine(
-        replace(recording, torques=None) if given.zero_torque else recording,
+        list(map(without, recordings)),
         scene,
-        passive=given.zero_torque,
+        held_out=None if held_out is None else without(held_out),
+        passive=passive,
         without=given.excluded,
         most=given.max_effects,
         seed=given.seed,
         rules=rules,
+        force=given.force,
         reasons=reasons,
         progress=progress,
     )
-    if out is None:
-        return diagnosis
     with body_file(str(given.body)) as path:
-        return write_back(diagnosis, path, scene, out, recording, given.zero_torque)
+        if out is not None:
+            shown = held_out or recordings[0]
+            diagnosis = write_back(diagnosis, path, scene, out, shown, passive, held_out is not None)
+        return diagnosis, list(copies(diagnosis, path, scene, members))

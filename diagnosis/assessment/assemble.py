@@ -101,7 +101,7 @@ def assembled(
         if probability + weighed.in_part[cause.key] > bound.rules.evidence.min_probability or cause is best
     )
     causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
-    rivals = _ambiguous(causes, bound.rules)
+    rivals = ambiguous(causes, bound.rules)
     joints = body.joint_names
     visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
     located = where(
@@ -128,7 +128,7 @@ def assembled(
             detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
-            residual_torque_rms=_rms(joints, before),
+            residual_torque_rms=rms_of(joints, before),
             replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
             tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
@@ -150,7 +150,7 @@ def assembled(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
             fresh,
-            _rms(joints, after),
+            rms_of(joints, after),
             {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
         joint_names=joints,
@@ -216,7 +216,7 @@ def _nothing(found: HypothesisPool) -> float:
     return next(s.log_evidence for s in found.first if s.effect is None)
 
 
-def _ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ...]:
+def ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ...]:
     """Keys of the causes that together hold most of the probability of all that name one; none for a single one.
 
     None, either, where there is no gap more probably than one.
@@ -234,7 +234,8 @@ def _ambiguous(causes: Sequence[Cause], rules: Rules = DEFAULT) -> tuple[str, ..
     return tuple(rivals) if len(rivals) > 1 else ()
 
 
-def _rms(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
+def rms_of(joints: Sequence[str], torque: np.ndarray) -> dict[str, float]:
+    """Of torques (T, K), by joint."""
     return dict(zip(joints, np.sqrt((torque**2).mean(0)).tolist(), strict=True))
 
 

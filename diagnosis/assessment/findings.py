@@ -16,7 +16,7 @@ from invdyn.diagnosis.hypotheses.simplex_search import log_spread
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
-from invdyn.diagnosis.problem.unknowns import Unknowns, bounds, unknowns
+from invdyn.diagnosis.problem.unknowns import bounds, unknowns
 from invdyn.models.effects.base import Effect, Parameter, Scale
 
 
@@ -63,7 +63,7 @@ def finding(
             e = estimates[name]
             own = whole.get(f"body.{quantity}.{effect.place[0]}")
             if own is not None:  # the file's own number is uncertain too
-                changes[name] = Change(before, _estimate(own + described[name][0], e.unit, e.narrowed))
+                changes[name] = Change(before, estimate(own + described[name][0], e.unit, e.narrowed))
                 continue
             low, high = (before + end for end in e.interval_90)
             after = Estimate(before + e.mean, e.sd, (low, high), e.unit, before + e.draws, e.narrowed)
@@ -87,12 +87,13 @@ def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, tempe
     values = drawn(problem, cause, seed, temper) if problem.uncertain else {}
     narrowed = _narrowed(problem, cause, temper) if problem.uncertain else {}
     for number in problem.uncertain:
-        after = _estimate(values[number.name], number.unit, narrowed[number.name])
+        after = estimate(values[number.name], number.unit, narrowed[number.name])
         found.append(Learned(number.place, number.what, Change(number.mean, after)))
     return tuple(found)
 
 
-def _estimate(values: np.ndarray, unit: str, narrowed: float) -> Estimate:
+def estimate(values: np.ndarray, unit: str, narrowed: float) -> Estimate:
+    """Of draws (N,)."""
     low, high = np.quantile(values, [0.05, 0.95])
     return Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit, values, narrowed)
 
@@ -102,7 +103,7 @@ def _narrowed(problem: DiagnosisProblem, cause: FittedHypothesis, temper: float)
     among = unknowns(problem, cause.effects)
     if not among.names:
         return {}
-    sd = np.sqrt(np.diag(tempered_covariance(cause, among, temper)))
+    sd = np.sqrt(np.diag(tempered_covariance(cause.covariance, among.sd, temper)))
     return dict(zip(among.names, (sd / among.sd).tolist(), strict=True))
 
 
@@ -112,7 +113,10 @@ def drawn(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper:
     if not among.names:
         return {}
     values = rng.multivariate_normal(
-        cause.mean, tempered_covariance(cause, among, temper), problem.rules.outcome.num_interval_draws, method="eigh"
+        cause.mean,
+        tempered_covariance(cause.covariance, among.sd, temper),
+        problem.rules.outcome.num_interval_draws,
+        method="eigh",
     )
     return dict(zip(among.names, np.clip(values, among.lower, among.upper).T, strict=True))
 
@@ -156,9 +160,9 @@ def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float
     return variance / (temper + (1 - temper) * variance)
 
 
-def tempered_covariance(cause: FittedHypothesis, among: Unknowns, temper: float) -> np.ndarray:
+def tempered_covariance(covariance: np.ndarray, prior_sd: np.ndarray, temper: float) -> np.ndarray:
     """Covariance (p, p) under the likelihood raised to ``temper``; see the top of the file."""
     # In units of the prior's sds, where S = I and no eigenvalue of the posterior's covariance is above one.
-    values, vectors = np.linalg.eigh(cause.covariance / np.outer(among.sd, among.sd))
+    values, vectors = np.linalg.eigh(covariance / np.outer(prior_sd, prior_sd))
     wider = _tempered(np.clip(values, 1e-300, 1.0), temper)
-    return (vectors * wider) @ vectors.T * np.outer(among.sd, among.sd)
+    return (vectors * wider) @ vectors.T * np.outer(prior_sd, prior_sd)

@@ -6,15 +6,19 @@ diagnosis is for.
 """
 
 import warnings
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from invdyn.diagnosis.check.check import Wrong, check
+from invdyn.diagnosis.check.check import Wrong, check, rows_of
+from invdyn.diagnosis.check.units import wrong_size
 from invdyn.diagnosis.problem.conventions import refuse
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
+from invdyn.recordings.pace import check_interval
 from invdyn.recordings.reading import Reading
+from invdyn.recordings.units import Units
 
 SIGNS = ("torque sign", "direction", "angle sign")
 NOT_SURE = ("held",)
@@ -52,11 +56,7 @@ def check_before(
             refused.append(refuse(f"{given.name}: {wrong.words}", force))
             continue
         warnings.warn(f"{given.name}: {wrong.words}", stacklevel=2)
-    for wrong in (each for each in found if each.kind in NOT_SURE):
-        warnings.warn(f"{given.name}: {wrong.sentence}; `invdyn check` says more", stacklevel=2)
-    if units := [wrong for wrong in found if wrong.by_size and wrong not in implausible and wrong.kind not in NOT_SURE]:
-        what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in units)
-        refused.append(refuse(f"{given.name}: {what}; `invdyn check` says more", force))
+    refused += _by_size(given.name, [wrong for wrong in found if wrong.by_size and wrong not in implausible], force)
     for n, wrong in enumerate([wrong for wrong in found if not wrong.by_size]):
         said, effect = f"{given.name}: {'then ' * (n > 0)}{wrong.sentence}", _looks_like(wrong, body, rules)
         if wrong.kind not in OF_FILE and _sure(wrong, body, rules) and effect is None and n == 0:
@@ -71,6 +71,29 @@ def check_before(
             stacklevel=2,
         )
     return tuple(refused)
+
+
+def check_numbers(
+    recording: Recording, reach: float, shifting: Collection[str], force: bool = False, rules: Rules = DEFAULT
+) -> tuple[str, ...]:
+    """The same of a simulation without equations of motion here, ``reach`` m large: rows, units and the clock alone.
+
+    Joints of ``shifting`` are in m. Numbers that are too large for their unit are warned of, as a wheel's angle may be.
+    """
+    found = wrong_size(recording, shifting, Units(), lambda: check_interval(recording, reach, Units()))
+    if found is not None:
+        warnings.warn(f"{recording.name}: {found}", stacklevel=2)
+    return _by_size(recording.name, rows_of(Reading(recording), rules)[0], force)
+
+
+def _by_size(name: str, found: Sequence[Wrong], force: bool) -> tuple[str, ...]:
+    """Refuse what the numbers alone say for certain, and warn of the rest."""
+    for wrong in (each for each in found if each.kind in NOT_SURE):
+        warnings.warn(f"{name}: {wrong.sentence}; `invdyn check` says more", stacklevel=3)
+    if not (sure := [wrong for wrong in found if wrong.kind not in NOT_SURE]):
+        return ()
+    what = ", and ".join(f"{wrong.words}, it seems: {wrong.remedy}" for wrong in sure)
+    return (refuse(f"{name}: {what}; `invdyn check` says more", force),)
 
 
 def _looks_like(wrong: Wrong, body: ArticulatedBody, rules: Rules) -> str | None:

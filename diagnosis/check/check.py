@@ -142,12 +142,7 @@ def check(
     log and body have nothing to do with each other: other joints, or nothing observed.
     """
     reading = Reading(recording) if isinstance(recording, Recording) else recording
-    names = reading.recording.joint_names
-    rows_wrong, reading = wrong_rows(reading, rules)
-    mistakes = [
-        Wrong(each.kind, tuple(names[k] for k in each.joints), each.words, each.remedy, each.value)
-        for each in rows_wrong
-    ]
+    mistakes, reading = rows_of(reading, rules)
     implausible, units_wrong, reading = wrong_units(reading, body, rules)
     recording = reading.recording
     mistakes += [_in_words(each, body.joint_names) for each in units_wrong]
@@ -193,6 +188,12 @@ def check(
         nearest,
         rules,
     )
+
+
+def rows_of(reading: Reading, rules: Rules) -> tuple[list[Wrong], Reading]:
+    """Rows that are no readings, in words, and the reading without them."""
+    names, (found, righted) = reading.recording.joint_names, wrong_rows(reading, rules)
+    return [Wrong(e.kind, tuple(names[k] for k in e.joints), e.words, e.remedy, e.value) for e in found], righted
 
 
 def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear: bool = False) -> str:

@@ -10,7 +10,7 @@ torques tell these two apart. Numbers that end at ±100, or at 0 and 100, are no
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -158,13 +158,17 @@ def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
 
 def _implausible(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
     """What speaks against the size of the numbers; None for nothing."""
-    if (implausible := _shifted(recording, body, units)) is not None:
-        return implausible
-    turning = [name not in slides(body) for name in recording.joint_names]
+    return wrong_size(recording, slides(body), units, lambda: check_fits(recording, body, units))
+
+
+def wrong_size(recording: Recording, shifting: Collection[str], units: Units, fits: Callable[[], None]) -> str | None:
+    """The same of joints of which some are ``shifting``, and by what ``fits`` raises."""
+    turning = [name not in shifting for name in recording.joint_names]
     try:
-        angles = None if recording.angles is None else np.where(turning, recording.angles, np.nan)
+        check_shifts(recording, shifting, units)
+        angles = None if recording.angles is None else np.where(turning, 1.0, 0.0) * recording.angles
         check_magnitudes(replace(recording, angles=angles), units)
-        check_fits(recording, body, units)
+        fits()
     except InputError as error:
         return str(error)
     return None

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
-from invdyn.diagnosis.engine.cubature_filter import Filtered, cubature_filter
+from invdyn.diagnosis.engine.cubature_filter import Filtered, apart, cubature_filter
 from invdyn.diagnosis.engine.effects import Candidate
 from invdyn.diagnosis.engine.problem import EngineLog
 from invdyn.diagnosis.rules import FIXED
@@ -89,14 +89,22 @@ class Screened:
     dprime: float
 
 
-def model_of(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) -> EngineModel:
-    """The log's model with the numbers (p,) of effects."""
-    changes, at = [], 0
-    for each in effects:
-        for number in each.effect.numbers:
-            changes.append((number.write, each.place, float(values[at])))
-            at += 1
-    return log.model.on(changed(log.model.scene.model, changes)) if changes else log.model
+def models_of(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) -> list[EngineModel]:
+    """The log's models with the numbers (p,) of effects."""
+    numbers = [(number.write, each.place) for each in effects for number in each.effect.numbers]
+    if not numbers:
+        return list(log.models)
+    changes = [(write, place, float(value)) for (write, place), value in zip(numbers, values, strict=True)]
+    compiled = changed(log.model.scene.model, changes)
+    return [each.on(compiled) for each in log.models]
+
+
+def filtered_with(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) -> Filtered:
+    """The log filtered with the numbers (p,) of effects; raises Diverged where the simulation runs away."""
+    return Filtered.joined([
+        cubature_filter(log.with_residual(1.0, model), rows.numpy(), log.regime.sizes)
+        for model, rows in zip(models_of(log, effects, values), log.rows, strict=True)
+    ])  # fmt: skip
 
 
 def _columns(
@@ -108,8 +116,16 @@ def _columns(
     first: int = 0,
 ) -> np.ndarray:
     """What a unit of each number from the ``first`` on adds to the next state, (T − 1, G, D, p), within bounds."""
-    states = torch.as_tensor(filtered.mean[:, :-1])
-    rows = torch.arange(1, filtered.mean.shape[1])
+    sizes, count, dim = filtered.mean.shape
+    means = np.split(filtered.mean, np.cumsum([len(rows) for rows in log.rows])[:-1], 1)
+
+    def moved(values: np.ndarray) -> np.ndarray:
+        parts = [
+            model.moved(torch.as_tensor(mean[:, :-1]), torch.arange(1, mean.shape[1])).numpy().swapaxes(0, 1)
+            for model, mean in zip(models_of(log, effects, values), means, strict=True)
+        ]
+        return apart(parts)
+
     out = []
     for at, number in list(enumerate(n for each in effects for n in each.effect.numbers))[first:]:
         low, high = (
@@ -119,10 +135,9 @@ def _columns(
         for end in (low, high):
             other = values.copy()
             other[at] = end
-            ends.append(model_of(log, effects, other).moved(states, rows).numpy())
+            ends.append(moved(other))
         out.append(np.nan_to_num(ends[1] - ends[0]) / (high - low))
-    sizes, count, dim = filtered.mean.shape
-    return np.stack(out, -1).swapaxes(0, 1) if out else np.zeros((count - 1, sizes, dim, 0))
+    return np.stack(out, -1) if out else np.zeros((count - 1, sizes, dim, 0))
 
 
 def _priors(log: EngineLog, effects: Sequence[Candidate]) -> Prior:
@@ -222,8 +237,7 @@ def _better(log: EngineLog, cause: Cause, target: np.ndarray, sds: np.ndarray) -
 def _about(log: EngineLog, effects: tuple[Candidate, ...], values: np.ndarray) -> Cause:
     """The cause about some values of its numbers."""
     mean, sd, low, high = _priors(log, effects)
-    model = log.with_residual(1.0, model_of(log, effects, values))
-    filtered = cubature_filter(model, log.observations.numpy(), log.regime.sizes)
+    filtered = filtered_with(log, effects, values)
     columns = filtered.columns(_columns(log, effects, values, sd, filtered))
     index = 1 + np.arange(len(values))[None]
     prior = ((mean - values)[None], sd[None], (low - values)[None], (high - values)[None])

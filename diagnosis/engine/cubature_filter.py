@@ -15,6 +15,7 @@ A change of a number of the model moves the predicted state by columns c with th
 Shapes: T rows, D states, O observations, G sizes, J numbers.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,20 @@ class Filtered:
     slope: np.ndarray
     transition: np.ndarray
 
+    @classmethod
+    def joined(cls, parts: Sequence["Filtered"]) -> "Filtered":
+        """Of recordings one after the other, from each to the next of which nothing is carried over."""
+        if len(parts) == 1:
+            return parts[0]
+        by_row = {
+            name: np.concatenate([getattr(each, name) for each in parts]) for name in ("whitening", "gain", "slope")
+        }
+        by_size = {
+            name: np.concatenate([getattr(each, name) for each in parts], 1)
+            for name in ("innovations", "log_det", "mean", "sd")
+        }
+        return cls(**by_size, **by_row, transition=apart([each.transition for each in parts]))
+
     def columns(self, inputs: np.ndarray) -> np.ndarray:
         """What inputs g (T − 1, G, D, J) change in the whitened innovations, (G, T, O, J)."""
         count, sizes, dim, numbers = inputs.shape
@@ -57,6 +72,12 @@ class Filtered:
             if t < count:
                 own = self.transition[t] @ (own - self.gain[t] @ seen) + inputs[t]
         return out.swapaxes(0, 1)
+
+
+def apart(steps: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays (T_r − 1, …) of steps between rows, one after the other, with zeros for the steps between recordings."""
+    between = np.zeros_like(steps[0][:1])
+    return np.concatenate([each for own in steps for each in (between, own)])[1:]
 
 
 @diverging()

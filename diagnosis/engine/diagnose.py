@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from invdyn.diagnosis.assessment.assemble import nothing_to_say
+from invdyn.diagnosis.assessment.assemble import ambiguous, nothing_to_say, rms_of
+from invdyn.diagnosis.assessment.findings import estimate, tempered_covariance
 from invdyn.diagnosis.assessment.gap_closure import Closed, closed
-from invdyn.diagnosis.assessment.result import Cause as Answer
 from invdyn.diagnosis.assessment.result import (
+    REFUSED,
+    UNCHECKED,
     Change,
     Diagnosis,
-    Estimate,
     Finding,
     Gap,
     Outside,
@@ -25,11 +26,15 @@ from invdyn.diagnosis.assessment.result import (
     Visibility,
     Where,
 )
+from invdyn.diagnosis.assessment.result import Cause as Answer
 from invdyn.diagnosis.assessment.tracks import Tracks
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
-from invdyn.diagnosis.engine.causes import Cause
+from invdyn.diagnosis.check.before import check_numbers
+from invdyn.diagnosis.check.check import BY_TORQUES
+from invdyn.diagnosis.engine.causes import Cause, filtered_with
+from invdyn.diagnosis.engine.cubature_filter import Filtered
 from invdyn.diagnosis.engine.effects import EFFECTS, Candidate, candidates
-from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at
+from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at, sensed
 from invdyn.diagnosis.engine.search import Found, search
 from invdyn.diagnosis.prediction.predict import Scores
 from invdyn.diagnosis.problem.prior import tempered
@@ -37,18 +42,21 @@ from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import Scene
 from invdyn.models.divergence import Diverged
 from invdyn.models.effects.base import Effect
+from invdyn.models.engine.drives import turning_dofs
 from invdyn.recordings import InputError, Recording
 
 
 def diagnose_engine(
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     scene: Scene,
     *,
+    held_out: Recording | None = None,
     passive: bool = False,
     without: Sequence[str] = (),
     most: int | None = None,
     seed: int = 0,
     rules: Rules = DEFAULT,
+    force: bool = False,
     reasons: Sequence[str] = (),
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Diagnosis:
@@ -56,18 +64,20 @@ def diagnose_engine(
 
     Args:
         recording: keypoints at sites, encoders of joints, or both, in m and rad; `torques` by the names of actuators
-            (their controls) and of joints.
+            (their controls) and of joints. Several of one robot are diagnosed together.
         scene: the simulation, :meth:`.Scene.of` a file.
+        held_out: another recording, on which the closing of the gap is measured; by default the last third of the rows.
         passive: nothing was commanded.
         without: names of effects to leave out.
         most: effects at once, at most; by default the rules'.
         seed: of draws and bootstraps.
         rules: to follow.
+        force: go on where a mistake in a recording is sure (:func:`.check_numbers`); the result says it.
         reasons: why MuJoCo's engine was taken.
         progress: called with (done, total, what).
 
-    Raises InputError for a recording that does not fit the scene, has no commands, or that the simulation runs away
-    from.
+    Raises InputError for a recording that does not fit the scene, has no commands or a mistake that is sure, or that
+    the simulation runs away from.
     """
     known = {effect.name for effect in EFFECTS}
     if unknown := [name for name in without if name not in known]:
@@ -77,33 +87,42 @@ def diagnose_engine(
         if progress is not None:
             progress(done, 3, what)
 
-    if (count := recording.num_frames) < rules.recording.min_rows:
+    every = [recording] if isinstance(recording, Recording) else list(recording)
+    count = sum(each.num_frames for each in every)
+    if count < rules.recording.min_rows:
         reason = f"{count} rows are recorded and {rules.recording.min_rows} are needed"
-        nothing = nothing_to_say(recording, scene, seed, passive, reason, rules)
+        nothing = nothing_to_say(every[0], scene, seed, passive, reason, rules)
         return replace(nothing, method={"engine": _engine(reasons)})
-    recording = looked_at(recording, rules)
+    said = {UNCHECKED: f"Not looked at: {BY_TORQUES}, as no regression has the forces of MuJoCo's constraints"}
+    shifting = [name for name, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns]
+    for each in (*every, *([held_out] if held_out else [])):
+        if refused := check_numbers(sensed(each, scene), scene.reach, shifting, force, rules):
+            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
     report(0, "bind")
     try:
-        log = engine_log(recording, scene, passive=passive, rules=rules)
+        log = engine_log([looked_at(each, rules, len(every)) for each in every], scene, passive=passive, rules=rules)
+        other = None
+        if held_out is not None:
+            other = engine_log(looked_at(held_out, rules), scene, passive=passive, rules=rules)
         report(1, "screen and refine")
-        every = candidates(scene.model, log.pairs, log.sizes, without)
-        found = search(log, every, most or rules.search.max_effects)
+        possible = candidates(scene.model, log.pairs, log.sizes, without)
+        found = search(log, possible, most or rules.search.max_effects)
     except Diverged as error:
-        raise InputError(f"{recording.name}: {error}: look at masses, units and the first pose") from error
+        raise InputError(f"{every[0].name}: {error}: look at masses, units and the first pose") from error
     report(2, "describe")
-    result = _assembled(log, found, every, seed, reasons, count)
+    result = _assembled(log, found, possible, seed, other)
+    said |= _method(log, found, possible, reasons, count, other)
     report(3, "done")
-    return result
+    return replace(result, method=result.method | said)
 
 
 def _assembled(
-    log: EngineLog, found: Found, every: Sequence[Candidate], seed: int, reasons: Sequence[str], rows: int
+    log: EngineLog, found: Found, every: Sequence[Candidate], seed: int, other: EngineLog | None
 ) -> Diagnosis:
     scene, rules, best, none = log.model.scene, log.rules, found.best, found.none
     joints = log.model.inputs.names
-    shares = _closed(log, none, best, seed)
+    shares = _closed(log, none, best, seed) if other is None else _closed_there(other, none, best, seed)
     before, after = _residual(log, none), _residual(log, best)
-    rms = np.sqrt((before[0] ** 2).mean(0))
     large = none.size(log) > rules.evidence.tolerance
     probability = 1 - found.alone[""]
     alone, in_part, outside = found.alone, found.in_part, found.outside
@@ -123,7 +142,9 @@ def _assembled(
         for cause in found.causes
         if alone[cause.key] + in_part[cause.key] > rules.evidence.min_probability or cause is best
     )
-    share = (rms / log.typical) ** 2
+    answers = tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part)))
+    rivals = ambiguous(answers, rules)
+    share = (before[0] ** 2).mean(0) / log.typical**2
     located = dict(zip(joints, (share / max(share.sum(), 1e-300)).tolist(), strict=True))
     limit = rules.evidence.tolerance * log.typical
     visible = tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in found.first)
@@ -137,7 +158,7 @@ def _assembled(
             probability > 0.5 and large,
             probability,
             shares.per_frame,
-            dict(zip(joints, rms.tolist(), strict=True)),
+            rms_of(joints, before[0]),
             {},
             dict(zip(joints, limit.tolist(), strict=True)),
         ),
@@ -146,12 +167,12 @@ def _assembled(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
             True,
-            dict(zip(joints, np.sqrt((after[0] ** 2).mean(0)).tolist(), strict=True)),
+            rms_of(joints, after[0]),
         ),
         joint_names=joints,
         link_names=scene.link_names,
-        causes=tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part))),
-        ambiguity_set=_ambiguous(answers, rules),
+        causes=answers,
+        ambiguity_set=(rivals,) if rivals else (),
         separating_experiment=_experiment(found),
         outside=Outside(outside),
         not_identifiable=tuple(
@@ -161,7 +182,6 @@ def _assembled(
         tracks=_tracks(log, none, best, before, after),
         screened=tuple((each.effect.key, each.log_evidence - none.log_evidence(log)) for each in found.first),
         visibility=visible,
-        method=_method(log, found, every, reasons, rows),
         rules=rules,
     )  # fmt: skip
 
@@ -174,25 +194,17 @@ def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
 
 def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Finding]:
     """Effects with intervals of draws, Gaussian, tempered, within bounds."""
-    rng, scaled = np.random.default_rng(seed), cause.covariance / np.outer(cause.prior_sd, cause.prior_sd)
-    draws = np.zeros((FIXED.engine_draws, 0))
+    rng, draws = np.random.default_rng(seed), np.zeros((log.rules.outcome.num_interval_draws, 0))
     if cause.effects:
-        values, vectors = np.linalg.eigh(scaled)
-        values = np.clip(values, 1e-300, 1.0)
-        wider = np.sqrt(values / (temper + (1 - temper) * values))
-        unit = (rng.standard_normal((FIXED.engine_draws, len(values))) * wider) @ vectors.T
-        draws = cause.values + cause.prior_sd * unit
+        covariance = tempered_covariance(cause.covariance, cause.prior_sd, temper)
+        draws = rng.multivariate_normal(cause.values, covariance, log.rules.outcome.num_interval_draws, method="eigh")
     found, at = [], 0
     for each in cause.effects:
         numbers, parameters, changes = each.effect.numbers, {}, {}
         for number, unit_of in zip(numbers, each.units(log.model.scene.model), strict=True):
             own = np.clip(draws[:, at], number.low, number.high)
-            low, high = np.quantile(own, [0.05, 0.95])
-            mean, before = float(cause.values[at]), float(cause.prior_mean[at])
-            narrowed = float(own.std() / cause.prior_sd[at])
-            estimate = Estimate(mean, float(own.std()), (float(low), float(high)), unit_of, own, narrowed)
-            parameters[number.name] = estimate
-            changes[number.name] = Change(before, estimate)
+            e = replace(estimate(own, unit_of, float(own.std() / cause.prior_sd[at])), mean=float(cause.values[at]))
+            parameters[number.name], changes[number.name] = e, Change(float(cause.prior_mean[at]), e)
             at += 1
         entry = CatalogueEntry(
             Effect,  # type: ignore[type-abstract]  # MuJoCo plays it: of the entry its words alone are used
@@ -203,18 +215,6 @@ def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Fi
         where = {each.place.kind: each.place.name}
         found.append(Finding(each.name, "dynamics", where, parameters, changes, entry))
     return found
-
-
-def _ambiguous(answers: Sequence[Answer], rules: Rules) -> tuple[tuple[str, ...], ...]:
-    """Causes that together hold most of the probability of all that name one."""
-    named = sorted((each for each in answers if each.effects), key=lambda each: -each.probability)
-    total, mass, rivals = sum(each.probability for each in named), 0.0, list[str]()
-    for each in named:
-        if total <= 0 or mass > rules.evidence.credible_mass * total:
-            break
-        rivals.append("+".join(finding.key for finding in each.effects))
-        mass += each.probability
-    return (tuple(rivals),) if len(rivals) > 1 else ()
 
 
 def _experiment(found: Found) -> str | None:
@@ -238,15 +238,26 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
             precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
             right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
             w = w + columns @ np.linalg.solve(precision, right)
-        return _scores(log, cause, w, kappa)
+        return _scores(log, cause.filtered, w, kappa)
 
-    return closed(predicted(none), predicted(best), withheld, log.model.time.numpy(), seed, rules=log.rules)
+    return closed(predicted(none), predicted(best), withheld, log.recording.time, seed, rules=log.rules)
 
 
-def _scores(log: EngineLog, cause: Cause, w: np.ndarray, kappa: float) -> Scores:
+def _closed_there(other: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
+    """The same on another recording, with all that this one tells."""
+    try:
+        there = [filtered_with(other, cause.effects, cause.values) for cause in (none, best)]
+    except Diverged as error:
+        raise InputError(f"{other.recording.name}: {error}: it is not held-out data of the same robot") from error
+    before, after = (_scores(other, each, each.innovations[0], float(best.kappa[0])) for each in there)
+    rows = np.ones(len(other.observations), bool)
+    return closed(before, after, rows, other.recording.time, seed, rules=other.rules)
+
+
+def _scores(log: EngineLog, filtered: Filtered, w: np.ndarray, kappa: float) -> Scores:
     """Log densities (T,) of whitened innovations (T, O) at the smallest residual, and what is usual without a gap."""
     count = (~log.observations.isnan()).sum(-1).numpy()
-    constant = -cause.filtered.log_det[0] - count * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
+    constant = -filtered.log_det[0] - count * (np.log(kappa) + 0.5 * np.log(2 * np.pi))
     score = constant - 0.5 * (w**2).sum(-1) / kappa**2
     return Scores(np.where(count > 0, score, np.nan), np.where(count > 0, constant - 0.5 * count, np.nan))
 
@@ -264,8 +275,9 @@ def _tracks(
     _, tangent, velocity, _ = log.model.split(states)
     # Coordinates of the residual's joints, which are all.
     missing = np.full((rows, 0, log.model.scene.dimensions), np.nan)
-    gap = _scores(log, best, best.filtered.innovations[0], float(best.kappa[0])).score
-    gap = gap - _scores(log, none, none.filtered.innovations[0], float(best.kappa[0])).score
+    scores = [
+        _scores(log, each, each.innovations[0], float(best.kappa[0])).score for each in (best.filtered, none.filtered)
+    ]
     return Tracks(
         time=log.recording.time,
         observed=log.recording.keypoints,
@@ -282,7 +294,7 @@ def _tracks(
         residual_before_sd=before[1],
         residual_after=after[0],
         residual_after_sd=after[1],
-        frame_gap=gap,
+        frame_gap=scores[0] - scores[1],
     )
 
 
@@ -291,7 +303,12 @@ def _engine(reasons: Sequence[str]) -> str:
 
 
 def _method(
-    log: EngineLog, found: Found, every: Sequence[Candidate], reasons: Sequence[str], rows: int
+    log: EngineLog,
+    found: Found,
+    every: Sequence[Candidate],
+    reasons: Sequence[str],
+    rows: int,
+    other: EngineLog | None,
 ) -> dict[str, str]:
     used = len(log.observations)
     return {
@@ -300,5 +317,5 @@ def _method(
         "candidates": f"{len(every)} effects at their places; {len(found.causes)} causes refined",
         "evidence": "by cubature Kalman filters, each about its own numbers; the residual torque's size integrated "
         "out, noise scale at its most probable",
-        "held out": "the last third of the rows",
+        "held out": "the last third of the rows" if other is None else "another recording",
     }

@@ -206,7 +206,7 @@ FEET = touching(lambda m, g: not is_fixed(m, g) and m.geom_type[g] in ROUND)
 def usual(over: str = "") -> Typical:
     """A share of a place's usual force, or of that force over its usual speed, acceleration or way."""
     share = FIXED.engine_usual
-    return lambda sizes, place: share * sizes.force(place) / (getattr(sizes, over)(place) if over else 1.0)
+    return lambda sizes, place: share * sizes.size("force", place) / (sizes.size(over, place) if over else 1.0)
 
 
 EFFECTS: tuple[FieldEffect, ...] = (
@@ -230,7 +230,7 @@ EFFECTS: tuple[FieldEffect, ...] = (
     ),
     FieldEffect(
         "joint_rest", SPRUNG_JOINTS,
-        (Number("rest", *own.REST, "x", 0.0, lambda z, p: 0.5 * z.way(p), -math.inf),),
+        (Number("rest", *own.REST, "x", 0.0, lambda z, p: 0.5 * z.size("way", p), -math.inf),),
         "a joint's spring that rests elsewhere", "a pause at several angles",
         "rest of the spring",
     ),
@@ -246,7 +246,7 @@ EFFECTS: tuple[FieldEffect, ...] = (
     ),
     FieldEffect(
         "tendon_rest", SPRUNG_TENDONS,
-        (Number("length", *own.entries("tendon_lengthspring", (0, 1)), "x", 0.0, lambda z, p: 0.5 * z.way(p),
+        (Number("length", *own.entries("tendon_lengthspring", (0, 1)), "x", 0.0, lambda z, p: 0.5 * z.size("way", p),
                 -math.inf),),
         "a tendon that is slack at another length", "a pause at several lengths",
         "rest length of the tendon",
@@ -299,7 +299,7 @@ EFFECTS: tuple[FieldEffect, ...] = (
     ),
     FieldEffect(
         "equality_offset", COUPLINGS,
-        (Number("offset", *own.entries("eq_data"), "x", 0.0, lambda z, p: 0.3 * z.way(p), -math.inf),),
+        (Number("offset", *own.entries("eq_data"), "x", 0.0, lambda z, p: 0.3 * z.size("way", p), -math.inf),),
         "two joints or tendons that are coupled at other positions", "a motion to both ends",
         "offset of the coupling",
     ),

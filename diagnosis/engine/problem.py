@@ -25,7 +25,7 @@ from invdyn.models import EngineModel, Scene
 from invdyn.models.engine.contacts import touching_pairs
 from invdyn.models.engine.drives import Given, JointTorques
 from invdyn.models.torques import OrnsteinUhlenbeck
-from invdyn.recordings import InputError, Recording
+from invdyn.recordings import InputError, Recording, joined
 
 AT_JOINTS = (0, 1)
 """Actuators at a joint, in MuJoCo's numbers."""
@@ -33,12 +33,12 @@ AT_JOINTS = (0, 1)
 
 @dataclass(frozen=True)
 class EngineLog:
-    """A log and its model.
+    """One recording or several, and their models.
 
     Attributes:
-        model: with the file's own numbers and a residual of one typical torque.
-        observations: (T, O).
-        recording: where the rows come from.
+        models: of each, with the file's own numbers and a residual of one typical torque.
+        rows: of each, (T_r, O).
+        recording: all of them, one after the other.
         regime: what is known of torques.
         typical: (K,) torques at the residual's joints.
         sizes: of the motion.
@@ -46,14 +46,24 @@ class EngineLog:
         rules: that are followed.
     """
 
-    model: EngineModel
-    observations: Tensor
+    models: tuple[EngineModel, ...]
+    rows: tuple[Tensor, ...]
     recording: Recording
     regime: Regime
     typical: np.ndarray
     sizes: Sizes
     pairs: tuple[Pair, ...]
     rules: Rules = DEFAULT
+
+    @property
+    def model(self) -> EngineModel:
+        """The first recording's."""
+        return self.models[0]
+
+    @property
+    def observations(self) -> Tensor:
+        """All rows (T, O)."""
+        return torch.cat(self.rows)
 
     @property
     def count(self) -> int:
@@ -69,46 +79,64 @@ class EngineLog:
         return torch.as_tensor(size * self.typical * math.sqrt(2 * self.rules.residual.residual_decay))
 
 
-def engine_log(recording: Recording, scene: Scene, *, passive: bool = False, rules: Rules = DEFAULT) -> EngineLog:
-    """Bind a recording to a scene.
+def engine_log(
+    recordings: Recording | Sequence[Recording], scene: Scene, *, passive: bool = False, rules: Rules = DEFAULT
+) -> EngineLog:
+    """Bind one recording, or several, to a scene.
 
     Args:
-        recording: keypoints, angles, or both; `torques` has, by name, controls of the file's actuators and torques of
+        recordings: keypoints, angles, or both; `torques` has, by name, controls of the file's actuators and torques of
             joints that have no actuator of that name. Those that it does not name are zero.
         scene: the simulation.
         passive: nothing was commanded, and all is zero.
         rules: to follow.
 
     Raises InputError for a recording without commands that is not ``passive``, with names that the scene does not have,
-    or that the scene cannot follow; Diverged for a scene that runs away along it.
+    or that the scene cannot follow, and for recordings that do not agree; Diverged for a scene that runs away.
     """
+    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    whole, _ = joined([sensed(each, scene) for each in every])
+    bound = [_bound(each, scene, passive, rules) for each in every]
+    sizes = replace(
+        bound[0][2],
+        dofs=np.max([own.dofs for *_, own in bound], 0),
+        tendons=np.max([own.tendons for *_, own in bound], 0),
+    )
+    speed = torch.as_tensor(FIXED.engine_speed_noise * sizes.dofs[1])
+    models = tuple(
+        model.replace(**{"noise.velocity": speed, "noise.angle": speed * float(model.time.diff().median())})
+        for model, *_ in bound
+    )
+    regime = replace(regimes(rules)["passive" if passive else "commanded"], levels=FIXED.engine_sizes)
+    log = EngineLog(models, tuple(rows for _, rows, _ in bound), whole, regime, sizes.dofs[0], sizes, (), rules)
+    pairs = [
+        touching_pairs(model, cubature_filter(log.with_residual(1.0, model), own.numpy(), size).mean)
+        for size in [np.array([regime.path_size])]
+        for model, own in zip(models, log.rows, strict=True)
+    ]
+    return replace(log, pairs=tuple(sorted({pair for own in pairs for pair in own})))
+
+
+def _bound(recording: Recording, scene: Scene, passive: bool, rules: Rules) -> tuple[EngineModel, Tensor, Sizes]:
+    """Model and rows of one recording, and the sizes of its motion."""
     given = commands(recording, scene, passive)
-    recording = sensed(recording, scene)
     names = tuple(dict.fromkeys(scene.model.joint(j).name or f"joint{j}" for j in range(scene.model.njnt)))
     drive, process = JointTorques(names), OrnsteinUhlenbeck(decay=rules.residual.residual_decay)
-    bound = engine_problem(recording, scene, drive=drive, torque=process)
+    bound = engine_problem(sensed(recording, scene), scene, drive=drive, torque=process)
     parameters: Mapping[str, Any] = bound.model.parameters
-    time, rows = bound.model.time, bound.observations
     model = EngineModel(
-        scene, time, bound.model.observation, drive=drive, torque=process, given=given,
+        scene, bound.model.time, bound.model.observation, drive=drive, torque=process, given=given,
         parameters={name: value for name, value in parameters.items() if not name.startswith("torque.")},
     )  # fmt: skip
-    start = bound.model.initial_paths(rows)[0]
-    flat = start.numpy()
+    flat = bound.model.initial_paths(bound.observations)[0].numpy()
     inputs = model.inputs.fields(np.zeros((len(flat), model.inputs.size)), np.arange(len(flat)))
-    sizes = Sizes.of(model.compiled(), model.physics(flat), time.numpy(), inputs, model.inputs.spec)
-    speed = torch.as_tensor(FIXED.engine_speed_noise * sizes.dofs[1])
-    interval = float(np.median(np.diff(time.numpy())))
-    model = model.replace(**{"noise.velocity": speed, "noise.angle": speed * interval})
-    regime = replace(regimes(rules)["passive" if passive else "commanded"], levels=FIXED.engine_sizes)
-    log = EngineLog(model, rows, recording, regime, sizes.dofs[0], sizes, (), rules)
-    path = cubature_filter(log.with_residual(1.0), rows.numpy(), np.array([regime.path_size])).mean
-    return replace(log, pairs=touching_pairs(model, path))
+    sizes = Sizes.of(model.compiled(), model.physics(flat), model.time.numpy(), inputs, model.inputs.spec)
+    return model, bound.observations, sizes
 
 
-def looked_at(recording: Recording, rules: Rules) -> Recording:
-    """Its first rows, as many as a diagnosis takes."""
-    return recording.at(slice(0, rules.recording.max_rows))
+def looked_at(recording: Recording, rules: Rules, count: int = 1) -> Recording:
+    """Its first rows, as many as a diagnosis takes of each of ``count`` recordings."""
+    return recording.at(slice(0, rules.recording.max_rows // count))
 
 
 def commands(recording: Recording, scene: Scene, passive: bool) -> Given:

@@ -16,6 +16,7 @@ from invdyn.diagnosis.write_back.model_numbers import Place
 from invdyn.models.engine.drives import turning_dofs
 
 OF_JOINTS = 2
+KINDS = ("force", "speed", "acceleration", "way")
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Sizes:
 
     Attributes:
         model: the compiled one.
-        dofs: force, speed, acceleration and way, (4, nv).
-        tendons: force, speed, zero and way, (4, K).
+        dofs: of :data:`KINDS`, (4, nv).
+        tendons: the same, without accelerations, (4, K).
         extent: m, the size of what moves.
     """
 
@@ -34,32 +35,13 @@ class Sizes:
     tendons: np.ndarray
     extent: float
 
-    def _at(self, kind: int, place: Place) -> float:
-        if place.kind == "tendon":
-            return float(self.tendons[kind, place.number])
-        joint = place.number
+    def size(self, kind: str, place: Place) -> float:
+        """A "force", "speed", "acceleration" or "way" at a place, in N, m and s, or N·m, rad and s."""
+        row, number, joints = KINDS.index(kind), place.number, place.kind != "tendon"
         if place.kind == "equality":
-            first = int(self.model.eq_obj1id[joint])
-            if int(self.model.eq_type[joint]) != OF_JOINTS:
-                return float(self.tendons[kind, first])
-            joint = first
-        return float(self.dofs[kind, self.model.jnt_dofadr[joint]])
-
-    def force(self, place: Place) -> float:
-        """N or N·m."""
-        return self._at(0, place)
-
-    def speed(self, place: Place) -> float:
-        """m/s or rad/s."""
-        return self._at(1, place)
-
-    def acceleration(self, place: Place) -> float:
-        """m/s² or rad/s²."""
-        return self._at(2, place)
-
-    def way(self, place: Place) -> float:
-        """M or rad."""
-        return self._at(3, place)
+            joints = int(self.model.eq_type[number]) == OF_JOINTS
+            number = int(self.model.eq_obj1id[number])
+        return float(self.dofs[row, self.model.jnt_dofadr[number]] if joints else self.tendons[row, number])
 
     @classmethod
     def of(cls, model: Any, physics: np.ndarray, time: np.ndarray, inputs: np.ndarray, spec: int) -> "Sizes":

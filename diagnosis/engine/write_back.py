@@ -4,6 +4,7 @@ What is written is what differs in the changed model (:mod:`..write_back.mjcf_wr
 copy is what was diagnosed.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
@@ -18,9 +19,10 @@ from invdyn.diagnosis.engine.effects import EFFECTS, SEVERAL, Candidate, contact
 from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.diagnosis.write_back.changes import FileChange, comment_of
+from invdyn.diagnosis.write_back.ensemble import Copy, drawn
 from invdyn.diagnosis.write_back.mjcf_writer import Writer
 from invdyn.diagnosis.write_back.model_numbers import Place, changed
-from invdyn.diagnosis.write_back.write_back import best
+from invdyn.diagnosis.write_back.write_back import best, replayed
 from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import Scene
 from invdyn.models.bodies.body_xml import MOST_BYTES
@@ -30,9 +32,17 @@ from invdyn.recordings import Recording, atomic_path
 
 
 def write_back(
-    diagnosis: Diagnosis, source: str | Path, scene: Scene, out: str | Path, recording: Recording, passive: bool = False
+    diagnosis: Diagnosis,
+    source: str | Path,
+    scene: Scene,
+    out: str | Path,
+    recording: Recording,
+    passive: bool = False,
+    held_out: bool = False,
 ) -> Diagnosis:
     """The diagnosis with what was written: a corrected copy of ``source``, the file of ``scene``, as ``out``.
+
+    Both replay the recording; ``held_out`` says whether the causes were found on another one.
 
     Without a gap, or a cause, nothing is written, and that is said. Raises OSError where the file cannot be written.
     """
@@ -44,9 +54,16 @@ def write_back(
     with atomic_path(out) as temporary:
         temporary.write_bytes(new)
         there = Scene.of(Path(temporary), dimensions=scene.dimensions, where=str(out))
-        tried = _tried(scene, there, recording, passive, diagnosis.rules)
+        tried = _tried(scene, there, recording, passive, held_out, diagnosis.rules)
     changes = tuple(each.to_json() for each in written)
     return replace(diagnosis, written=Written(str(out), changes, unsaid, rollout=tried))
+
+
+def copies(diagnosis: Diagnosis, source: str | Path, scene: Scene, members: int) -> Iterator[Copy]:
+    """Members of an ensemble (:mod:`..write_back.ensemble`): the file with draws of the causes' numbers."""
+    content = read_whole(source, MOST_BYTES)
+    for cause in drawn(diagnosis, members, diagnosis.seed):
+        yield (content, (), {}) if cause is None else rewritten(content, scene, cause)
 
 
 def rewritten(content: bytes, scene: Scene, cause: Cause) -> tuple[bytes, list[FileChange], dict[str, str]]:
@@ -61,7 +78,7 @@ def rewritten(content: bytes, scene: Scene, cause: Cause) -> tuple[bytes, list[F
         numbers, place = candidate.effect.numbers, candidate.place
         found = [finding.parameters[number.name] for number in numbers]
         changes = [
-            FileChange(place.name, n.name, n.read(model, place), e.mean, e.interval_90, e.unit, finding.key)
+            FileChange(place.name, place.word(n.name), n.read(model, place), e.mean, e.interval_90, e.unit, finding.key)
             for n, e in zip(numbers, found, strict=True)
         ]
         after = changed(now, [(n.write, place, e.mean) for n, e in zip(numbers, found, strict=True)])
@@ -85,10 +102,10 @@ def candidate_of(model: Any, finding: Finding) -> Candidate:
     return Candidate(effect, next(each for each in effect.places(model, every) if each.name == name))
 
 
-def _tried(before: Scene, after: Scene, recording: Recording, passive: bool, rules: Rules) -> dict | None:
+def _tried(
+    before: Scene, after: Scene, recording: Recording, passive: bool, held_out: bool, rules: Rules
+) -> dict | None:
     """How far replays with the file and with the copy are off the encoders; None without any."""
-    import mujoco
-
     if recording.angles is None:
         return None
     recording = looked_at(recording, rules)
@@ -96,15 +113,7 @@ def _tried(before: Scene, after: Scene, recording: Recording, passive: bool, rul
         off = [replay_errors(engine_log(recording, scene, passive=passive, rules=rules)) for scene in (before, after)]
     except Diverged:
         return None
-    total = [float(np.sqrt(np.mean(np.square(list(each.values()))))) for each in off]
-    return {
-        "engine": f"MuJoCo {mujoco.__version__}",
-        "recording": recording.name,
-        "held_out": False,
-        "window_s": FIXED.replay_window,
-        "angle_rms_rad": {name: {"before": off[0][name], "after": off[1][name]} for name in off[0]},
-        "total_rms_rad": {"before": total[0], "after": total[1]},
-    }
+    return replayed(recording, held_out, *off)
 
 
 def replay_errors(log: EngineLog) -> dict[str, float]:

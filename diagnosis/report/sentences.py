@@ -6,6 +6,7 @@ from invdyn.diagnosis.assessment.result import (
     NO_SEARCH,
     REFUSED,
     STEPS,
+    UNCHECKED,
     Cause,
     Diagnosis,
     Finding,
@@ -269,7 +270,9 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    found += [f"{text}." for key in (REFUSED, NO_SEARCH, LEFT_OUT, STEPS) if (text := diagnosis.method.get(key))]
+    found += [
+        f"{text}." for key in (REFUSED, NO_SEARCH, LEFT_OUT, STEPS, UNCHECKED) if (text := diagnosis.method.get(key))
+    ]
     if count := diagnosis.not_looked_at:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "

@@ -12,7 +12,7 @@ A number of which the log says nothing keeps the width of its prior, and is list
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.whole_file import read_whole
 from invdyn.recordings import InputError, atomic_path, write_text
 
+Copy = tuple[bytes, Sequence[FileChange], dict[str, str]]
+"""A member's file, what it changes, and what it could not: words → why."""
 MJX = {
     "damping": "dof_damping",
     "friction": "dof_frictionloss",
@@ -36,6 +38,10 @@ MJX = {
     "mass": "body_mass",
     "payload": "body_mass",
     "servo gain": "actuator_gainprm",
+    "torque": "dof_frictionloss",
+    "tendon stiffness": "tendon_stiffness",
+    "tendon damping": "tendon_damping",
+    "tendon force": "tendon_frictionloss",
 }
 """Fields of a compiled model that a number is in."""
 ISAAC_LAB = {
@@ -49,7 +55,7 @@ ISAAC_LAB = {
 
 Friction is in N·m from Isaac Sim 5 on, and a coefficient before.
 """
-RELATIVE = {"servo gain": "scale", "motor gain": "scale", "payload": "add"}
+RELATIVE = {"servo gain": "scale", "motor gain": "scale", "actuator factor": "scale", "payload": "add"}
 """How a number acts that is no value of its own."""
 
 
@@ -77,6 +83,25 @@ def drawn(diagnosis: Diagnosis, members: int, seed: int) -> list[Cause | None]:
     return found
 
 
+def copies(
+    diagnosis: Diagnosis, source: str | Path, body: ArticulatedBody, members: int, refined: Refined | None = None
+) -> Iterator[Copy]:
+    """Members as draws of ``refined`` where an output-error fit was made, else of the diagnosis' causes."""
+    content = read_whole(source, body_xml.MOST_BYTES)
+    corrections: list[Correction | None]
+    if refined is not None:
+        corrections = [Correction(refined.member(n), {}) for n in range(members)]
+    else:
+        causes = drawn(diagnosis, members, diagnosis.seed)
+        corrections = [None if cause is None else correction(cause, body) for cause in causes]
+    for wanted in corrections:
+        if wanted is None:
+            yield content, (), {}
+            continue
+        new, left = rewritten(content, source, body, wanted.changes)
+        yield new, [each for each in wanted.changes if each.words not in left], left | wanted.unsaid
+
+
 def write_ensemble(
     diagnosis: Diagnosis,
     source: str | Path,
@@ -85,26 +110,21 @@ def write_ensemble(
     members: int,
     refined: Refined | None = None,
 ) -> dict[str, Any]:
-    """Write the members and the ranges into ``folder``, which exists; gives what randomisation.json has.
+    """:func:`write_members` of :func:`copies`."""
+    return write_members(diagnosis, Path(source).suffix, copies(diagnosis, source, body, members, refined), folder)
 
-    The members are draws of ``refined`` where an output-error fit was made, else of the diagnosis' causes.
+
+def write_members(diagnosis: Diagnosis, suffix: str, members: Iterable[Copy], folder: Path) -> dict[str, Any]:
+    """Write the members and the ranges into ``folder``, which exists; gives what randomisation.json has.
 
     Raises OSError where they cannot be written.
     """
-    content = read_whole(source, body_xml.MOST_BYTES)
-    suffix, every, unsaid = Path(source).suffix, list[Sequence[FileChange]](), dict[str, str]()
-    corrections: list[Correction | None]
-    if refined is not None:
-        corrections = [Correction(refined.member(n), {}) for n in range(members)]
-    else:
-        causes = drawn(diagnosis, members, diagnosis.seed)
-        corrections = [None if cause is None else correction(cause, body) for cause in causes]
-    for number, wanted in enumerate(corrections):
-        new, left = (content, {}) if wanted is None else rewritten(content, source, body, wanted.changes)
+    every, unsaid = list[Sequence[FileChange]](), dict[str, str]()
+    for number, (new, changes, left) in enumerate(members):
         with atomic_path(folder / f"robot_{number:03d}{suffix}") as temporary:
             temporary.write_bytes(new)
-        every.append(() if wanted is None else [each for each in wanted.changes if each.words not in left])
-        unsaid |= left | (wanted.unsaid if wanted is not None else {})
+        every.append(changes)
+        unsaid |= left
     ranges = randomisation(diagnosis, every, unsaid)
     write_text(folder / "randomisation.json", json.dumps(ranges, indent=1, ensure_ascii=False) + "\n")
     return ranges

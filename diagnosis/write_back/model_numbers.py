@@ -37,6 +37,10 @@ class Place:
     number: int
     pairs: tuple[Pair, ...] = ()
 
+    def word(self, name: str) -> str:
+        """What a number there is called: "damping" of a joint, "tendon damping"."""
+        return name if self.kind in ("joint", "link") else f"{self.kind} {name}"
+
 
 Read = Callable[[Any, Place], float]
 Write = Callable[[Any, Place, float], None]

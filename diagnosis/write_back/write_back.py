@@ -7,6 +7,7 @@ does the original: what both are off by stands in the report.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -137,16 +138,22 @@ def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, h
     # the same commands for both: a gear that was changed must change what they do
     given = commands(model, body, recording)
     before, after = (rollout(path, body, recording.time, np.asarray(angle), given) for path in (source, out))
+    said = replayed(recording, held_out, before.angle_rms, after.angle_rms)
+    return said | {"whole_rms_rad": {"before": _finite(before.whole), "after": _finite(after.whole)}}
+
+
+def replayed(recording: Recording, held_out: bool, before: dict[str, float], after: dict[str, float]) -> dict[str, Any]:
+    """What a diagnosis.json has of replays of both files: errors of angles, rms in rad, by joint."""
+    import mujoco
+
+    totals = [float(np.sqrt(np.mean(np.square(list(each.values()))))) for each in (before, after)]
     return {
         "engine": f"MuJoCo {mujoco.__version__}",
         "recording": recording.name,
         "held_out": held_out,
         "window_s": FIXED.replay_window,
-        "angle_rms_rad": {
-            name: {"before": value, "after": after.angle_rms[name]} for name, value in before.angle_rms.items()
-        },
-        "total_rms_rad": {"before": before.total, "after": after.total},
-        "whole_rms_rad": {"before": _finite(before.whole), "after": _finite(after.whole)},
+        "angle_rms_rad": {name: {"before": value, "after": after[name]} for name, value in before.items()},
+        "total_rms_rad": dict(zip(("before", "after"), totals, strict=True)),
     }
 
 

@@ -123,8 +123,11 @@ def walked_back(result: FilterResult, rows: int, num_draws: int, step: Step) -> 
 
 
 def _check_density(model: StateSpaceModel, states: Tensor, reach: Tensor, t: int) -> None:
-    """Raise ModelError for log-densities ``reach`` (M, R, N) that are no densities of finite ``states`` (M, N, D)."""
-    wrong = torch.isnan(reach) | torch.isposinf(reach)
+    """Raise ModelError for log-densities ``reach`` (M, R, N) that are no densities of finite ``states`` (M, N, D).
+
+    A simulation may run away from a few of the states: NaN counts as zero where others have a density.
+    """
+    wrong = torch.isposinf(reach) | (torch.isnan(reach) & ~torch.isfinite(reach).any(-1, keepdim=True))
     if bool(wrong.any()) and bool((wrong & torch.isfinite(states).all(-1).unsqueeze(-2)).any()):
         raise ModelError(
             f"{type(model).__name__}.transition: expected a finite log-density in row {t}, got NaN or infinity, as "

@@ -8,9 +8,10 @@ half of their time they are excited to less than .16.
 Shapes: z (B, K), inputs (B, C) of the drive's field of ``mujoco.mjtState``.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import ndtr
@@ -22,32 +23,34 @@ MUSCLE_OFFSET = 1.0
 WRENCH = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 
 
-class Drive(Protocol):
-    """K unknown numbers and which of MuJoCo's inputs they fill; sizes are known once :meth:`bound`."""
+@dataclass(frozen=True)
+class Drive(ABC):
+    """K unknown numbers and which of MuJoCo's inputs they fill; all but what was asked for is known once bound.
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the K numbers."""
+    Attributes:
+        places: of the K inputs in the field.
+        names: of the K numbers.
+        units: of the K inputs.
+    """
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Of the K inputs that they become."""
+    places: tuple[int, ...] = field(default=(), kw_only=True)
+    names: tuple[str, ...] = field(default=(), kw_only=True)
+    units: tuple[str, ...] = field(default=(), kw_only=True)
 
-    @property
-    def fills(self) -> str:
-        """Name in ``mujoco.mjtState``, without its prefix."""
+    fills: ClassVar[str]
+    """Name of the field in ``mujoco.mjtState``, without its prefix."""
 
+    @abstractmethod
     def bound(self, model: Any) -> "Drive":
         """The drive of a compiled model. Raises BodyError for a name that the model does not have."""
 
+    @abstractmethod
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
         """Usual size (K,) of z, given typical generalised forces (nv,)."""
 
     def inputs(self, z: np.ndarray) -> np.ndarray:
-        """The K inputs (…, K), in their units, of z (…, K)."""
-
-    def fill(self, z: np.ndarray, fields: np.ndarray) -> None:
-        """Write them into the field (…, C)."""
+        """The K inputs (…, K), in their units, of z (…, K); z itself by default."""
+        return z
 
 
 def turning_dofs(model: Any) -> np.ndarray:
@@ -69,13 +72,10 @@ def dof_names(model: Any) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class JointTorques:
+class JointTorques(Drive):
     """Generalised forces at joints, N·m or N; at all hinges and slides by default, without the file's actuators."""
 
     joints: tuple[str, ...] | None = None
-    dofs: tuple[int, ...] = field(default=())
-    names: tuple[str, ...] = field(default=())
-    units: tuple[str, ...] = field(default=())
 
     fills: ClassVar[str] = "QFRC_APPLIED"
 
@@ -92,29 +92,18 @@ class JointTorques:
         dofs = [v for v in range(model.nv) if model.dof_jntid[v] in numbers]
         names = dof_names(model)
         units = tuple("N·m" if turns else "N" for turns in turning_dofs(model)[dofs])
-        return JointTorques(tuple(wanted), tuple(dofs), tuple(names[v] for v in dofs), units)
+        return JointTorques(tuple(wanted), places=tuple(dofs), names=tuple(names[v] for v in dofs), units=units)
 
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
         """The typical ones."""
-        return typical[list(self.dofs)]
-
-    def inputs(self, z: np.ndarray) -> np.ndarray:
-        """As they are."""
-        return z
-
-    def fill(self, z: np.ndarray, fields: np.ndarray) -> None:
-        """At their degrees of freedom."""
-        fields[..., list(self.dofs)] = z
+        return typical[list(self.places)]
 
 
 @dataclass(frozen=True)
-class Controls:
+class Controls(Drive):
     """Controls of the file's own actuators: motors, servos, muscles; of all of them by default."""
 
     actuators: tuple[str, ...] | None = None
-    numbers: tuple[int, ...] = field(default=())
-    names: tuple[str, ...] = field(default=())
-    units: tuple[str, ...] = field(default=())
     low: tuple[float, ...] = field(default=())
     width: tuple[float, ...] = field(default=())
     offset: tuple[float, ...] = field(default=())
@@ -136,17 +125,17 @@ class Controls:
         low, high = np.where(limited[:, None], model.actuator_ctrlrange[numbers], free).T
         return Controls(
             tuple(wanted),
-            tuple(numbers),
-            tuple(wanted),
-            ("1",) * len(wanted),
             tuple(low.tolist()),
             tuple((high - low).tolist()),
             tuple(np.where(muscle, MUSCLE_OFFSET, 0.0).tolist()),
+            places=tuple(numbers),
+            names=tuple(wanted),
+            units=("1",) * len(wanted),
         )
 
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
         """One, of those with limits; else what makes a typical torque by gain and gear."""
-        gain = np.abs(model.actuator_gainprm[list(self.numbers), 0] * model.actuator_gear[list(self.numbers), 0])
+        gain = np.abs(model.actuator_gainprm[list(self.places), 0] * model.actuator_gear[list(self.places), 0])
         free = typical.max() / np.where(gain > 0, gain, 1.0)
         return np.where(np.isfinite(self.width), 1.0, free)
 
@@ -156,19 +145,12 @@ class Controls:
         squashed = np.asarray(self.low) + np.nan_to_num(width) * ndtr(z - np.asarray(self.offset))
         return np.where(np.isfinite(width), squashed, z)
 
-    def fill(self, z: np.ndarray, fields: np.ndarray) -> None:
-        """At their actuators."""
-        fields[..., list(self.numbers)] = self.inputs(z)
-
 
 @dataclass(frozen=True)
-class Wrench:
+class Wrench(Drive):
     """An unknown force and torque at a body's centre of mass, in the world's frame, N and N·m."""
 
     body: str
-    number: int = -1
-    names: tuple[str, ...] = field(default=())
-    units: tuple[str, ...] = field(default=("N",) * 3 + ("N·m",) * 3)
 
     fills: ClassVar[str] = "XFRC_APPLIED"
 
@@ -177,20 +159,13 @@ class Wrench:
         own = [model.body(b).name for b in range(model.nbody)]
         if self.body not in own[1:]:
             raise BodyError(f"expected a body among {', '.join(filter(None, own[1:]))}, got {self.body!r}: correct it")
-        return Wrench(self.body, own.index(self.body), tuple(f"{self.body}_{name}" for name in WRENCH))
+        first, names = 6 * own.index(self.body), tuple(f"{self.body}_{name}" for name in WRENCH)
+        return Wrench(self.body, places=tuple(range(first, first + 6)), names=names, units=("N",) * 3 + ("N·m",) * 3)
 
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
         """A share of the weight, and of that at a tenth of the model's extent."""
         weight = 0.3 * float(model.body_subtreemass[1:].max()) * max(float(np.linalg.norm(model.opt.gravity)), 1.0)
         return np.repeat([weight, weight * 0.1 * float(model.stat.extent)], 3)
-
-    def inputs(self, z: np.ndarray) -> np.ndarray:
-        """As they are."""
-        return z
-
-    def fill(self, z: np.ndarray, fields: np.ndarray) -> None:
-        """At the body."""
-        fields[..., 6 * self.number : 6 * self.number + 6] = z
 
 
 def is_muscle(model: Any) -> np.ndarray:
@@ -263,7 +238,7 @@ class Inputs:
         """MuJoCo's inputs (…, C) of z (…, K), with what is given ``since`` rows (…)."""
         out = np.zeros((*z.shape[:-1], self.width))
         for each, part in zip(self.drives, self._parts(z), strict=True):
-            each.fill(part, out[..., self._places[each.fills]])
+            out[..., self._places[each.fills]][..., list(each.places)] = each.inputs(part)
         for name, values in self.given.items() if since is not None else ():
             out[..., self._places[name]] += values[since]
         return out

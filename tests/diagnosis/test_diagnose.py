@@ -11,7 +11,7 @@ import torch
 from pendulum import ARM, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assessment.assemble import _ambiguous, _unseen
+from invdyn.diagnosis.assessment.assemble import _unseen, ambiguous
 from invdyn.diagnosis.assessment.result import Cause, Finding
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED
@@ -146,8 +146,8 @@ def test_a_set_holds_the_most_probable_causes_that_name_something(probabilities,
         Cause((Finding(name, "dynamics", {}, {}),), p, 0.0, None) for name, p in zip(names, probabilities, strict=True)
     ]
     nothing = Cause((), 0.3, 0.0, None)
-    assert _ambiguous([nothing, *causes]) == names[:rivals]
-    assert _ambiguous([replace(nothing, probability=0.6), *causes]) == ()
+    assert ambiguous([nothing, *causes]) == names[:rivals]
+    assert ambiguous([replace(nothing, probability=0.6), *causes]) == ()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from invdyn.diagnosis.engine.diagnose import diagnose_engine
-from invdyn.diagnosis.engine.write_back import write_back
+from invdyn.diagnosis.engine.write_back import copies, write_back
 from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.report.sentences import kind, verdict
 from invdyn.models import Scene
@@ -44,11 +44,14 @@ def diagnosed(name, change=None, rows=110, seed=2, **options):
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("change", [stiffer, smoother])
 def test_a_changed_number_is_named_and_written_back(name, change, tmp_path):
-    found, recording = diagnosed(name, change)
-    assert kind(found) == "cause", verdict(found)
-    (finding,) = found.causes[0].effects
     changed = mujoco.MjModel.from_xml_string(CASES[name][0])
     change(changed)
+    other = linkages.log_of(changed, CASES[name][1], rows=60, seed=3, name="other") if change is stiffer else None
+    found, recording = diagnosed(name, change, held_out=other)
+    assert kind(found) == "cause", verdict(found)
+    assert found.method["held out"] == ("the last third of the rows" if other is None else "another recording")
+    assert found.shrinkage.gap_closed > 0.9
+    (finding,) = found.causes[0].effects
     if change is stiffer:
         assert finding.effect == "tendon_stiffness"
         truth, field = float(np.ravel(changed.tendon_stiffness)[0]), "tendon_stiffness"
@@ -65,6 +68,12 @@ def test_a_changed_number_is_named_and_written_back(name, change, tmp_path):
     own = mujoco.MjModel.from_xml_path(str(copy))
     assert getattr(own, field) == pytest.approx(getattr(changed, field), rel=0.02)
     assert "The corrected file" in render(written)
+    members = [
+        mujoco.MjModel.from_xml_string(text.decode()) for text, _, _ in copies(found, source, Scene.of(source), 9)
+    ]
+    drawn = np.array([np.ravel(getattr(each, field))[np.argmax(np.ravel(getattr(own, field)))] for each in members])
+    assert 0.2 * number.sd < drawn.std() < 5 * number.sd
+    assert drawn.mean() == pytest.approx(number.mean, abs=3 * number.sd)
     assert json.loads(json.dumps(written.to_json()))["write_back"]["changes"][0]["effect"] == finding.key
 
 
@@ -82,13 +91,18 @@ def test_no_alarm_where_nothing_was_changed(name, tmp_path):
 
 @pytest.mark.long
 def test_two_numbers_at_once_and_what_the_catalogue_lacks():
-    """A stiffer tendon and smoother pads together; and a push that no effect is."""
+    """A stiffer tendon and smoother pads together, in two logs; and a push that no effect is."""
 
     def both(model):
         stiffer(model)
         smoother(model)
 
-    found, _ = diagnosed("holding", both, rows=150, most=2)
+    text, control = CASES["holding"]
+    model = mujoco.MjModel.from_xml_string(text)
+    both(model)
+    logs = [linkages.log_of(model, control, rows=75, seed=seed, name=f"log {seed}") for seed in (2, 3)]
+    found = diagnose_engine(logs, Scene.of(text), most=2)
+    assert found.recording == "log 2 + log 3"
     assert {each.effect for each in found.causes[0].effects} == {"tendon_stiffness", "contact_friction"}
     text, control = CASES["rubbing"]
 
@@ -145,7 +159,7 @@ def test_what_does_not_fit_is_refused():
 
 @pytest.mark.long
 def test_a_leg_that_slips_from_keypoints():
-    """Torques of hip and knee are known; the floor, whose friction is 1, is more slippery than the file says."""
+    """Torques of hip and knee are known; the ice, whose friction is .1, is more slippery than the file says."""
     leg = legs.leg_recording("slip", 0, rows=60, noise=5e-4)
     from invdyn.recordings import Recording
 
@@ -154,8 +168,8 @@ def test_a_leg_that_slips_from_keypoints():
         time=leg.time, keypoints=leg.rows.reshape(60, -1, 2), keypoint_names=legs.SITES, torques=leg.torque,
         joint_names=names, name="slip",
     )  # fmt: skip
-    text = leg.text.replace('friction="0.05', 'friction="2')
+    text = leg.text.replace('friction="0.1"', 'friction="0.2"')
     found = diagnose_engine(recording, Scene.of(text, dimensions=2), most=1)
     finding = found.causes[0].effects[0]
     assert finding.key == "contact_friction.floor-foot", verdict(found)
-    assert finding.parameters["friction"].mean == pytest.approx(1.0, rel=0.1)
+    assert finding.parameters["friction"].mean == pytest.approx(0.1, rel=0.1)

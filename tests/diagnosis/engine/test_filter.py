@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.diagnosis.engine.cubature_filter import cubature_filter
+from invdyn.diagnosis.engine.cubature_filter import Filtered, apart, cubature_filter
 from invdyn.models import Encoders, EngineModel, Observation
 from invdyn.models.divergence import Diverged
 from invdyn.models.engine.drives import Given
@@ -85,3 +85,15 @@ def test_given_inputs_act_from_their_row_on():
     state = torch.zeros(3, dtype=torch.float64)
     velocity = [float(model.transition(state, t).base_dist.loc[2]) for t in (1, 2, 5)]
     assert velocity == pytest.approx([0.0, 1 * 0.01 / 2, 4 * 0.01 / 2])
+
+
+def test_nothing_is_carried_over_from_a_recording_to_the_next():
+    model, sizes, rng = cart(), np.array([1e-3, 1.0]), np.random.default_rng(0)
+    parts = [
+        cubature_filter(model, model.simulate(seed=seed)[1].numpy()[:rows], sizes) for seed, rows in ((1, 12), (2, 9))
+    ]
+    inputs = [rng.normal(size=(rows - 1, 2, 3, 2)) for rows in (12, 9)]
+    both = Filtered.joined(parts)
+    assert both.innovations.shape == (2, 21, 1)
+    expected = np.concatenate([own.columns(each) for own, each in zip(parts, inputs, strict=True)], 1)
+    np.testing.assert_allclose(both.columns(apart(inputs)), expected)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from invdyn.diagnosis.check.before import check_numbers
 from invdyn.diagnosis.engine.problem import commands, sensed
 from invdyn.models import Scene
 from invdyn.recordings import InputError, Recording
@@ -48,3 +49,19 @@ def test_degrees_of_a_joint_that_has_stops_are_refused():
     with pytest.raises(InputError, match=r"expected angles of 'elbow' from -2 to 2 rad, its range, got 0 to 57\.3"):
         sensed(log(np.degrees(np.linspace(0, 1, 30)), ("elbow",)), scene)
     assert sensed(log(np.linspace(-2.1, 2.1, 30), ("elbow",)), scene).joint_names == ("elbow",)
+
+
+def test_rows_and_sizes_are_looked_at_as_those_of_arms_are():
+    shown = np.sin(np.arange(400) * 0.02) + 0.5
+    check_numbers(log(shown, ("elbow",)), 0.5, ())
+    shown[::9] = 0.0  # another publisher's rows
+    strange = log(shown, ("elbow",))
+    with pytest.raises(InputError, match="rows have the angles 0, far from the rows around them"):
+        check_numbers(strange, 0.5, ())
+    with pytest.warns(UserWarning, match="continued, by --force"):
+        assert check_numbers(strange, 0.5, (), force=True)
+    slow = replace(log(np.linspace(0, 1, 400), ("elbow",)), time=np.arange(400.0))
+    with pytest.warns(UserWarning, match="frame numbers"):
+        check_numbers(slow, 0.5, ())
+    with pytest.warns(UserWarning, match="shifts by 400 m"):
+        check_numbers(log(np.linspace(0, 400, 400), ("elbow",)), 0.5, ("elbow",))
