@@ -22,18 +22,25 @@ def gripper(tmp_path):
     model = mujoco.MjModel.from_xml_string(linkages.HOLDING)
     model.tendon_stiffness[0] *= 1.5
     write_keypoint_csv(linkages.log_of(model, linkages.grasp, rows=60), tmp_path / "log.csv")
+    write_keypoint_csv(linkages.log_of(model, linkages.grasp, rows=30, seed=1), tmp_path / "other.csv")
     return tmp_path
 
 
 @pytest.mark.long
 def test_from_a_log_to_a_corrected_file(gripper, run):
     outcome = run("diagnose", gripper / "log.csv", "--body", gripper / "gripper.xml", "--max-effects", "1", "--out",
-                  gripper / "found", "--write-back", gripper / "better.xml")  # fmt: skip
+                  gripper / "found", "--write-back", gripper / "better.xml", "--held-out", gripper / "other.csv",
+                  "--ensemble", "3", gripper / "copies")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     said = " ".join(outcome.output.split())
     assert "dynamics by MuJoCo's own step: 1 equality constraint; tendons pull" in said
     assert "There is a gap: the simulation leaves out tendon stiffness of the pull" in said
     found = json.loads((gripper / "found" / "diagnosis.json").read_text())
+    assert found["method"]["held out"] == "another recording"
+    assert "Not looked at: signs, zeros" in said
+    ranges = json.loads((gripper / "copies" / "randomisation.json").read_text())
+    assert [(each["place"], each["quantity"]) for each in ranges["numbers"]] == [("pull", "tendon stiffness")]
+    assert ranges["mjx"][0]["field"] == "tendon_stiffness"
     assert found["causes"][0]["effects"][0]["tendon"] == "pull"
     assert float(mujoco.MjModel.from_xml_path(str(gripper / "better.xml")).tendon_stiffness[0]) == pytest.approx(
         90.0, rel=0.02
@@ -47,7 +54,6 @@ def test_from_a_log_to_a_corrected_file(gripper, run):
         (("--estimate", "damping"), "--estimate: has no part in MuJoCo's engine"),
         (("--budget", "5"), "--budget: has no part in MuJoCo's engine"),
         (("--set", "engine=bullet"), "--set engine: expected auto, mujoco, own, got 'bullet'"),
-        (("--ensemble", "2", "copies"), "--ensemble: has no part in MuJoCo's engine"),
         (("--workers", "7"), "--workers: has no part in MuJoCo's engine"),
     ],
 )
