@@ -142,9 +142,7 @@ def check_in_space(
                 )
     known_distances = {pair: length for pair, length in distances.items() if set(pair) <= known.keys()}
     check_names(known, known_distances, recording.keypoint_names)
-    for pair, length in known_distances.items():
-        (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
-        _check_length(pair, observed, length, guessed, recording)
+    _check_lengths(known, known_distances, guessed, recording)
     if (
         recording.angles is not None and units.angle is None and recording.length_unit == "m"
     ):  # elsewhere g is not known
@@ -160,10 +158,7 @@ def check_scale(recording: Recording, distances: Mapping[tuple[str, str], float]
     track (T, S).
     """
     known = _tracks(recording, base if base.shape[-1] == recording.keypoints.shape[-1] else None)
-    for pair, length in distances.items():
-        if set(pair) <= known.keys():
-            (observed,) = median_distances(np.stack([known[name] for name in pair], axis=1))
-            _check_length(pair, observed, length, True, recording)
+    _check_lengths(known, {pair: distances[pair] for pair in distances if set(pair) <= known.keys()}, True, recording)
 
 
 def _tracks(recording: Recording, base: Sequence[float] | np.ndarray | None) -> dict[str, np.ndarray]:
@@ -201,10 +196,15 @@ def _odd_columns(recording: Recording) -> str:
     return ""
 
 
-def _check_length(ends: tuple[str, str], observed: float, length: float, guessed: bool, recording: Recording) -> None:
+def _check_lengths(
+    tracks: Mapping[str, np.ndarray], distances: Mapping[tuple[str, str], float], guessed: bool, recording: Recording
+) -> None:
     unit = recording.length_unit
     longest = PLAUSIBLE.length_ratio if guessed else PLAUSIBLE.known_length_ratio
-    if np.isfinite(observed) and not 1 / PLAUSIBLE.length_ratio <= observed / length <= longest:
+    for ends, length in distances.items():
+        (observed,) = median_distances(np.stack([tracks[name] for name in ends], axis=1))
+        if not np.isfinite(observed) or 1 / PLAUSIBLE.length_ratio <= observed / length <= longest:
+            continue
         usual = (
             "check --units, --scale or the body's lengths; uncertain ones may be off by a factor of "
             f"{PLAUSIBLE.length_ratio:g}"

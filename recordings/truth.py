@@ -54,13 +54,7 @@ class Truth:
             columns = [np.interp(time, self.time, column, left=np.nan, right=np.nan) for column in values.T]
             return np.stack(columns, axis=-1)
 
-        return replace(
-            self,
-            time=time,
-            angle=resample(self.angle),
-            velocity=resample(self.velocity),
-            torque=resample(self.torque),
-        )
+        return replace(self, time=time, **{each: resample(getattr(self, each)) for each in QUANTITIES})
 
 
 def write_truth(truth: Truth, path: str | Path) -> None:
@@ -91,11 +85,8 @@ def read_truth(path: str | Path) -> Truth:
             )
         joints = tuple(dict.fromkeys(joint for joint, _, _ in named.values()))
         unknown = np.full_like(columns["time"], np.nan)
-
-        def stack(quantity: str) -> np.ndarray:
-            return np.stack([columns.get(f"{joint}_{quantity}", unknown) for joint in joints], axis=-1)
-
-        values = {quantity: stack(quantity) for quantity in QUANTITIES}
-        for quantity, value in values.items():
-            check_range(f"truth: {quantity}", value, "frame {}".format)
+        values = {}
+        for quantity in QUANTITIES:
+            values[quantity] = np.stack([columns.get(f"{joint}_{quantity}", unknown) for joint in joints], axis=-1)
+            check_range(f"truth: {quantity}", values[quantity], "frame {}".format)
         return Truth(columns["time"], **values, joint_names=joints)
