@@ -1,6 +1,6 @@
 """Several recordings of one body as one: end to end, or a robot's log and a camera's keypoints on the log's clock."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,25 +24,8 @@ def joined(recordings: Sequence[Recording]) -> tuple[Recording, tuple[int, ...]]
     if len(recordings) == 1:
         return first, ()
     for other in recordings[1:]:
-        for field in ("keypoint_names", "joint_names", "length_unit"):
-            mine, yours = getattr(first, field), getattr(other, field)
-            if mine != yours:
-                raise InputError(
-                    f"recordings to be diagnosed together must agree: {first.name} has {field} {mine}, "
-                    f"{other.name} has {yours}"
-                )
-        axes = [each.keypoints.shape[-1] for each in (first, other)]
-        if axes[0] != axes[1]:
-            raise InputError(
-                f"recordings to be diagnosed together must agree: keypoints of {first.name} have {axes[0]} "
-                f"coordinates, those of {other.name} {axes[1]}"
-            )
-        for field in ("confidence", "angles", "torques"):
-            if (getattr(first, field) is None) != (getattr(other, field) is None):
-                raise InputError(
-                    f"recordings to be diagnosed together must agree: of {first.name} and {other.name}, "
-                    f"only one has {field}"
-                )
+        if odd := next(_differences(first, other), None):
+            raise InputError(f"recordings to be diagnosed together must agree: {odd}")
     times, end = [], first.time[0] - first.frame_interval
     for each in recordings:
         times.append(each.time - each.time[0] + end + each.frame_interval)
@@ -54,6 +37,19 @@ def joined(recordings: Sequence[Recording]) -> tuple[Recording, tuple[int, ...]]
     }
     name = " + ".join(each.name for each in recordings)
     return replace(first, time=np.concatenate(times), name=name, **columns), tuple(int(s) for s in starts)
+
+
+def _differences(first: Recording, other: Recording) -> Iterator[str]:
+    for field in ("keypoint_names", "joint_names", "length_unit"):
+        mine, yours = getattr(first, field), getattr(other, field)
+        if mine != yours:
+            yield f"{first.name} has {field} {mine}, {other.name} has {yours}"
+    mine, yours = first.keypoints.shape[-1], other.keypoints.shape[-1]
+    if mine != yours:
+        yield f"keypoints of {first.name} have {mine} coordinates, those of {other.name} {yours}"
+    for field in ("confidence", "angles", "torques"):
+        if (getattr(first, field) is None) != (getattr(other, field) is None):
+            yield f"of {first.name} and {other.name}, only one has {field}"
 
 
 SAME_TIME = 1e-6

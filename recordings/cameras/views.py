@@ -51,8 +51,7 @@ class Views:
 
     def at(self, frames: slice | np.ndarray) -> "Views":
         """Some frames, a slice or a mask (T,); times stay."""
-        chosen = (getattr(self, name)[frames] for name in ("time", "pixels", "confidence"))
-        return replace(self, **dict(zip(("time", "pixels", "confidence"), chosen, strict=True)))
+        return replace(self, time=self.time[frames], pixels=self.pixels[frames], confidence=self.confidence[frames])
 
     def select(self, names: Sequence[str]) -> "Views":
         """The named keypoints, in that order."""
