@@ -6,7 +6,7 @@ float64 arrays in the file's order, with a function that turns a 0-based row int
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +33,7 @@ def read_rows(path: str | Path) -> list[Row]:
         InputError: an empty file, or one that is not text in UTF-8.
         OSError: a file that cannot be opened, or is no ordinary one.
     """
-    check_readable(path)
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if any(cells)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a text table ({first_line(error)})") from None
+    rows = [(line, [cell.strip() for cell in cells]) for line, cells in _cells(path) if any(cells)]
     if not rows:
         raise InputError(f"{path}: the file is empty; expected a header line and rows of numbers")
     for line, cells in rows:
@@ -55,10 +49,17 @@ def read_header(path: str | Path) -> list[str]:
         InputError: a file that is not text in UTF-8.
         OSError: a file that cannot be opened, or is no ordinary one.
     """
+    _, cells = next(_cells(path), (0, []))
+    return [cell.strip() for cell in cells]
+
+
+def _cells(path: str | Path) -> Iterator[Row]:
     check_readable(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
-            return [cell.strip() for cell in next(csv.reader(file), [])]
+            reader = csv.reader(file)
+            for cells in reader:
+                yield reader.line_num, cells
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a text table ({first_line(error)})") from None
 
