@@ -44,6 +44,7 @@ COMMANDS = {
     "study_coverage": "study.py coverage --studies 41 --results build/study.jsonl",
     "study_pooling": "study.py pooling",
     "study_kill": "study.py kill",
+    "real_studies": "real_studies.py",
     "filters": "filters.py",
     "gpu": "gpu.py",
     "ladder": "ladder.py",

@@ -12,6 +12,7 @@ import pandas as pd
 
 from invdyn.inference import Comparison, evidence_note, functional_table, learned_lengths, pooled
 from invdyn.inference.posterior.functionals import MIN_TIMES
+from invdyn.inference.study.work import MIN_OUTER_ESS
 
 from .plots import quantiles
 
@@ -71,10 +72,6 @@ def _too_few(idata: az.InferenceData) -> list[str]:
         f"warning: bands of {MIN_DRAWS} independent draws or more mean something, these rest on {draws:.2g}: "
         "raise --filters, --particles or --draws"
     ]
-
-
-MIN_OUTER_ESS = 32
-"""Filters, or half of them where there are fewer: of fewer that count, the bands of another run would differ."""
 
 
 def _uneven(idata: az.InferenceData) -> list[str]:

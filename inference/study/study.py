@@ -90,7 +90,8 @@ class Study:
                 if len(members) > 1:  # what the session shares takes the place of what it found alone
                     own = [each for each in own if each != NOT_SETTLED]
                 shared = said(part)["notes"] if place in self.posteriors else []
-                rows += [(place, doubt) for doubt in (*own, *shared)]
+                last = said(self.posteriors[place])["notes"] if place in self.posteriors else []
+                rows += [(place, doubt) for doubt in (*own, *shared, *last)]
         labelled = [{**self.trials[place].labels, "doubt": doubt} for place, doubt in sorted(rows, key=itemgetter(0))]
         return pd.DataFrame(labelled, columns=None if rows else ["trial", "subject", "session", "doubt"])
 
