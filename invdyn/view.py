@@ -1,9 +1,9 @@
 """`invdyn view`: what one page (:mod:`.page`) shows of a posterior, a diagnosis or a study.
 
 Of a posterior: the mean body, some draws, keypoints as seen, torques and angles with their 50 and 90 % bands. Of a
-diagnosis: the simulation before and after the correction, and the torque that each misses, with 90 % bands. Of a
-study: torques of all trials, aligned at an event, and the average of each condition, with its 90 % band and that of a
-further trial.
+diagnosis: the simulation before and after the correction, the torque that each misses, with 90 % bands, and how far
+each is off when it is played on its own. Of a study: torques of all trials, aligned at an event, and the average of
+each condition, with its 90 % band and that of a further trial.
 
 Recordings of more than `MAX_ROWS` rows are thinned: median and edges of the bands at evenly spaced rows.
 """
@@ -133,6 +133,7 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     )
     view.notes = {
         "missing torque": "What the simulation needs at the joint to follow the recording, with 90 % bands.",
+        "off": "How far the end of the joint's link is from the recorded motion, played without feedback.",
         "angle": "Smoothed under the corrected simulation.",
     }
     for k, joint in enumerate([str(name) for name in tracks["joint"].values]):
@@ -146,6 +147,14 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
         angle = _of_joint(tracks["angle"], k)[rows]
         side = {"name": "smoothed", "style": "after", "low": angle, "middle": angle, "high": angle}
         view.panel("angle", joint, "rad" if turning[k] else "m", [side])
+    joints = [str(name) for name in tracks["joint"].values]
+    for s, place in enumerate(joints if len(joints) == len(view.names) else view.names):
+        curves = []
+        for (name, style), each in replays.items():
+            off = np.linalg.norm(each[:, s] - tracks["smoothed"].values[rows, s], axis=-1)
+            curves.append({"name": name, "style": style, "low": off, "middle": off, "high": off})
+        if np.isfinite(curves[0]["middle"]).any():  # MuJoCo's engine is not played on its own
+            view.panel("off", place, view.unit, curves)
     return view
 
 
