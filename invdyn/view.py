@@ -133,7 +133,7 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     )
     view.notes = {
         "missing torque": "What the simulation needs at the joint to follow the recording, with 90 % bands.",
-        "off": "How far the end of the joint's link is from the recorded motion, played without feedback.",
+        "replay error": "How far the end of the joint's link is from the recorded motion, played without feedback.",
         "angle": "Smoothed under the corrected simulation.",
     }
     for k, joint in enumerate([str(name) for name in tracks["joint"].values]):
@@ -154,7 +154,7 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
             off = np.linalg.norm(each[:, s] - tracks["smoothed"].values[rows, s], axis=-1)
             curves.append({"name": name, "style": style, "low": off, "middle": off, "high": off})
         if np.isfinite(curves[0]["middle"]).any():  # MuJoCo's engine is not played on its own
-            view.panel("off", place, view.unit, curves)
+            view.panel("replay error", place, view.unit, curves)
     return view
 
 

@@ -203,7 +203,7 @@ def test_a_diagnosis_before_and_after(browser, found, tmp_path, width):
     np.testing.assert_allclose(after["high"], high, atol=1e-3)
     for arm, replay in zip(data["arms"], (tracks.nominal_replay, tracks.corrected_replay), strict=True):
         np.testing.assert_allclose(np.array(arm["points"])[:, 1:], replay, atol=1e-3)
-    site = next(panel for panel in data["panels"] if panel["group"] == "off")
+    site = next(panel for panel in data["panels"] if panel["group"] == "replay error")
     for side, replay in zip(site["sides"], (tracks.nominal_replay, tracks.corrected_replay), strict=True):
         off = np.linalg.norm(replay[:, 0] - tracks.smoothed[:, 0], axis=-1)
         np.testing.assert_allclose(np.array(side["middle"], float), off, atol=1e-3)
