@@ -27,7 +27,7 @@ from torch import Tensor
 from invdyn.diagnosis.excite.limits import MotionLimits
 from invdyn.diagnosis.excite.trajectory import Path
 from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, link_names
-from invdyn.diagnosis.regression.regressors import filed_torques, nominal_link_numbers, unit_numbers
+from invdyn.diagnosis.regression.regressors import filed_torques, link_torques, nominal_link_numbers, unit_numbers
 from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.models import Body
 from invdyn.models.dynamics.registry import dynamics_for
@@ -101,21 +101,11 @@ class Information:
         own = [qd, self._sign(path), qdd, q - q.mean(0), torch.ones_like(q), whole]
         X = torch.cat([torch.diag_embed(each).movedim(-1, 0) for each in own])  # (6 K, R, K)
         if self.units is not None:
-            X = torch.cat([X, self._links(path)])
+            X = torch.cat([X, link_torques(self.dynamics, self.units, *path)])
         size = torch.tensor([each.size for each in self.columns], dtype=torch.float64)
         count = DEFAULT.residual.residual_decay * seconds / len(q)  # independent rows that one stands for
         X = (X * size[:, None, None] * count**0.5 / self.noise).flatten(1)
         return X @ X.T
-
-    def _links(self, path: Path) -> Tensor:
-        """Y of the links' numbers, (P, R, K); see :func:`.regressors.link_regressors`."""
-        K = path.q.shape[-1]
-        found = self.dynamics.inverse(*path, self.units)
-        links = self.units.mass.shape[-1]
-        found = found.reshape(-1, links, len(path.q), K)
-        n = 1 if self.units.com.ndim == self.units.mass.ndim else 3
-        moments = found[1 : 1 + n] - found[:1]  # at a metre a kilogram has moments, which are taken from it
-        return torch.cat([found[:1], moments, found[1 + n :]]).flatten(0, 1)
 
     def nats(self, precision: Tensor) -> Tensor:
         """Expected information about the question."""

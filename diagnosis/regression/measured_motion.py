@@ -43,14 +43,9 @@ class MeasuredMotion:
     command: np.ndarray
     stretch: np.ndarray
 
-    def at(self, rows: np.ndarray) -> "MeasuredMotion":
-        """Some rows of it, by number or (R,) of bool."""
+    def at(self, rows: np.ndarray | slice) -> "MeasuredMotion":
+        """Some rows of it, by number, (R,) of bool or neighbouring ones."""
         return MeasuredMotion(**{name: values[rows] for name, values in vars(self).items()})
-
-    def split(self, share: float) -> tuple["MeasuredMotion", "MeasuredMotion"]:
-        """Its first rows, a ``share`` of them, and the others."""
-        first = np.arange(len(self.time)) < int(share * len(self.time))
-        return self.at(first), self.at(~first)
 
 
 def measured_motion(

@@ -7,7 +7,7 @@ X are :mod:`.linear_effects` along a smoothed motion (:mod:`.measured_motion`); 
 How far that closes the gap is measured on the last third of the rows by a fit to the first two, in rms torque. Evidence
 trusts a model that no robot obeys, and may fit what does not last. So where those rows are predicted better by far by
 viscous and Coulomb friction at all joints, or by these and all links' numbers, as a plain least-squares fit has them,
-that is the answer.
+that is the answer. A servo's gain that was found first is dropped where it leaves more of them than the file's.
 
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
@@ -127,27 +127,35 @@ def regress(
     dynamics = dynamics_for(body)
     along = expected(dynamics, body, motion, passive)
     if other is None:
-        first, last = motion.split(rules.outcome.fit_share)
-        seen, rest = along.at(slice(len(first.time))), along.at(slice(len(first.time), None))
+        count = int(rules.outcome.fit_share * len(motion.time))
+        first, last = (motion.at(rows) for rows in (slice(count), slice(count, None)))
+        seen, rest = (along.at(rows) for rows in (slice(count), slice(count, None)))
     else:
         first, last, seen, rest = motion, other, along, expected(dynamics, body, other, passive)
     gains = servo_gains(first, seen.required, body)
     of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff)
-    for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
-        known = of(motion=first, along=seen, factor=gains.factor)
-        chosen = weighted_fit(known, first, rules, None, _columns_of(known, gains)).chosen
-        if (better := _nearer(known, chosen, gains)) is gains:
+    while True:
+        for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
+            known = of(motion=first, along=seen, factor=gains.factor)
+            chosen = weighted_fit(known, first, rules, None, _columns_of(known, gains)).chosen
+            if (better := _nearer(known, chosen, gains)) is gains:
+                break
+            gains = better
+        gains = gains.far
+        known, unseen = (of(motion=m, along=a, factor=gains.factor) for m, a in ((first, seen), (last, rest)))
+        before = _columns_of(known, gains)
+        fits = [weighted_fit(known, first, rules, plain, before) for plain in PLAIN]
+        left = [left_by(unseen, each.chosen) for each in fits]
+        size = np.maximum(_rms(unseen.missing), 1e-300)
+        tolerated = rules.evidence.tolerance * unseen.required
+        errors = [float(np.linalg.norm(np.hypot(_rms(each), tolerated) / size)) for each in left]
+        behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
+        best = int(np.argmin(errors)) if behind else 0
+        # a gain that leaves more than the file's own was none
+        worse = gains.changed & (_rms(left[best]) > _rms(unseen.of_file))
+        if not worse.any():
             break
-        gains = better
-    known, unseen = (of(motion=m, along=a, factor=gains.factor) for m, a in ((first, seen), (last, rest)))
-    before = _columns_of(known, gains)
-    fits = [weighted_fit(known, first, rules, plain, before) for plain in PLAIN]
-    left = [left_by(unseen, each.chosen) for each in fits]
-    size = np.maximum(np.sqrt((unseen.missing**2).mean(0)), 1e-300)
-    tolerated = rules.evidence.tolerance * unseen.required
-    errors = [float(np.linalg.norm(np.hypot(np.sqrt((each**2).mean(0)), tolerated) / size)) for each in left]
-    behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
-    best = int(np.argmin(errors)) if behind else 0
+        gains = ServoGains(np.where(worse, 1.0, gains.factor))
     memory = float(correlation_times(left_by(known, fits[best].chosen), first.stretch).max())
     torque = closing(unseen.of_file, left[best], memory, rules)
     plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
@@ -168,6 +176,11 @@ def regress(
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
         tuple(of_others(whole, fit)),
     )
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """Of rows (R, K), by joint (K,)."""
+    return np.asarray(np.sqrt((values**2).mean(0)))
 
 
 def _columns_of(effects: LinearEffects, servos: ServoGains) -> list[int]:

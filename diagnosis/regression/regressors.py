@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.linalg
 import torch
+from torch import Tensor
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.inertia import NAMES
@@ -46,12 +47,16 @@ def link_regressors(dynamics: Dynamics, body: Any, motion: Moving, units: Any = 
     """
     if not has_inertias(body):
         return np.empty((0, *motion.q.shape))
-    n, links = 1 if body.dimensions == 2 else 3, len(body.link_names)
-    found = inverse(dynamics, unit_numbers(body) if units is None else units, motion)
-    found = found.reshape(-1, links, *motion.q.shape)
+    own = unit_numbers(body) if units is None else units
+    return np.asarray(link_torques(dynamics, own, *map(torch.as_tensor, (motion.q, motion.qd, motion.qdd))).numpy())
+
+
+def link_torques(dynamics: Dynamics, units: Any, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+    """The same (P, R, K) of ``units`` along tensors (R, K), differentiable."""
+    found = dynamics.inverse(q, qd, qdd, units).reshape(-1, units.mass.shape[-1], *q.shape)
+    n = 1 if units.com.ndim == units.mass.ndim else 3
     # at a distance of one metre a kilogram has moments, which are taken from it
-    found[1 : 1 + n] -= found[:1]
-    return found.reshape(-1, *motion.q.shape)
+    return torch.cat([found[:1], found[1 : 1 + n] - found[:1], found[1 + n :]]).flatten(0, 1)
 
 
 def unit_numbers(body: Any) -> Any:

@@ -36,6 +36,11 @@ class ServoGains:
         """(K,) whether a gain is another than the file's."""
         return self.factor != 1.0
 
+    @property
+    def far(self) -> "ServoGains":
+        """Those that a regression about the file's gain does not take; the others stay the file's."""
+        return ServoGains(np.where(np.abs(np.log(self.factor)) > FIXED.linear_servo_gain, self.factor, 1.0))
+
 
 def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> ServoGains:
     """Gains of a body's position servos, from what its file asks of all joints, ``required`` (R, K)."""
@@ -51,12 +56,12 @@ def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> Serv
         fits = [_regressed(X, demanded, limits, some) for some in rows if some.sum() > 2 * X.shape[1]]
         _, gamma = min(fits, default=(0.0, 1.0))
         unknown[k] = gamma <= 0
-        if gamma > 0 and abs(math.log(gamma)) > FIXED.linear_servo_gain:
+        if gamma > 0:
             factor[k] = gamma
-    changed = factor != 1.0
-    if changed.sum() > len(every) / 2:
-        factor[unknown] = np.exp(np.median(np.log(factor[changed])))
-    return ServoGains(factor)
+    found = ServoGains(factor).far
+    if found.changed.sum() > len(every) / 2:
+        found.factor[unknown] = np.exp(np.median(np.log(found.factor[found.changed])))
+    return found
 
 
 def _regressed(

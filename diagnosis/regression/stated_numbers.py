@@ -8,8 +8,9 @@ has ε = 1/(1 + g) − 1; all other numbers of its joint are β/(1 + g). With γ
 Where the motion of a joint does not tell g, all that is known in its servo's torque is as unsure as the gain, and by
 the same factor: log-normal, with sd `servo_gain_sd`. Links move by base parameters, sums of numbers of several links.
 
-The probability that a number is another than the file's weighs the two at even odds. With b its estimate, s its sd and
-F − 1 degrees of freedom (:mod:`.weighted_fit`), and the prior N(0, u²) of a few sizes u,
+The probability that a number is another than the file's, by more than is tolerated, weighs the two at even odds. With
+b how far its estimate is beyond that, s its sd and F − 1 degrees of freedom (:mod:`.weighted_fit`), and the prior
+N(0, u²) of a few sizes u,
 
     P/(1 − P) = mean over u of t(b; √(s² + u²))/t(b; s)
 
@@ -167,7 +168,7 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
         p = own.get((kind, place, name))
         key = (kind, place, name)
         known = (value, float(sd)) if kind == GAIN else (fitted[key], sd_of[key])
-        probability = probability_of(*known, 1.0 if p is None else float(effects.size[p]), fit.freedom)
+        probability = probability_of(*known, 1.0 if p is None else float(effects.size[p]), fit)
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
         unit = "1" if p is None else effects.units[p]
         sd, interval = _estimate(value, float(sd), fit.freedom)
@@ -179,7 +180,7 @@ def of_others(effects: LinearEffects, fit: Fitted) -> list[Estimated]:
     """Numbers of effects at joints that were not chosen, each as it would be by itself besides."""
     found = []
     for p, (value, sd) in fit.others.items():
-        probability = probability_of(value, sd, float(effects.size[p]), fit.freedom)
+        probability = probability_of(value, sd, float(effects.size[p]), fit)
         what = (effects.kinds[p], effects.places[p], effects.names[p])
         found.append(
             Estimated(*what, value, *_estimate(value, sd, fit.freedom), effects.units[p], 0.0, {}, probability)
@@ -187,13 +188,14 @@ def of_others(effects: LinearEffects, fit: Fitted) -> list[Estimated]:
     return found
 
 
-def probability_of(value: float, sd: float, size: float, freedom: int) -> float:
+def probability_of(value: float, sd: float, size: float, fit: Fitted) -> float:
     """P of the top of the file; ``size`` is of an effect as large as is usual."""
+    value = max(abs(value) - fit.tolerance * size, 0.0)
     if sd == 0:
         return float(value != 0)
     wide = sd**2 + (size * np.array(FIXED.regression_sizes)) ** 2
-    far = np.log1p(value**2 / (freedom * sd**2)) - np.log1p(value**2 / (freedom * wide))
-    odds = np.exp(np.minimum(-0.5 * np.log(wide / sd**2) + 0.5 * (freedom + 1) * far, 500.0)).mean()
+    far = np.log1p(value**2 / (fit.freedom * sd**2)) - np.log1p(value**2 / (fit.freedom * wide))
+    odds = np.exp(np.minimum(-0.5 * np.log(wide / sd**2) + 0.5 * (fit.freedom + 1) * far, 500.0)).mean()
     return float(odds / (1 + odds))
 
 
@@ -222,7 +224,7 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         p = columns[b]
         name, place, unit = effects.names[p], effects.places[p], effects.units[p]
         size = float(np.linalg.norm(combination * effects.size[columns]))
-        probability = probability_of(value - nominal, sd, size, fit.freedom)
+        probability = probability_of(value - nominal, sd, size, fit)
         found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability))
     return found
 

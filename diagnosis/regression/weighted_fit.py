@@ -42,6 +42,7 @@ class Fitted:
     """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows.
 
     `others` are columns of effects at places that were not chosen: value and sd with each of these added by itself.
+    `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
     """
 
     chosen: Chosen
@@ -49,6 +50,7 @@ class Fitted:
     freedom: int
     weights: np.ndarray
     others: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    tolerance: float = 0.0
 
 
 def weighted_fit(
@@ -100,7 +102,9 @@ def weighted_fit(
             if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
                 place, sd = also.columns.index(own[0]), np.sqrt(np.diag(of(also)))
                 added[own[0]] = (float(also.values[place]), float(sd[place]))
-    return Fitted(choice.with_gains(chosen), of(chosen), len(moments.folds) - 1, weights, added)
+    return Fitted(
+        choice.with_gains(chosen), of(chosen), len(moments.folds) - 1, weights, added, rules.evidence.tolerance
+    )
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:

@@ -1,0 +1,188 @@
+"""Robots of public files, each with one number changed: what the regression names, and how near its values are.
+
+    python benchmarks/robots.py --files FOLDER [--robots so101 ur5e] [--changes none friction mass gain damping rotor]
+        [--seed 47000] [--results FILE]
+
+FOLDER has MJCF files, such as those of MuJoCo Menagerie without meshes, whose joints have position servos. MuJoCo plays
+a copy in which one number of one joint or link is another. The log has 10 s of 100 rows: targets, each a sum of three
+sines, and angles with .2 mrad of noise. It is read with the file as published.
+
+An answer is right where what it names without a "perhaps" is the effect at its joint; of a mass, links' numbers. A
+value is the whole number, file and change together, or of links the base parameter that changes most.
+"""
+
+import argparse
+import tempfile
+import time as clock
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from kept import kept
+
+from invdyn.diagnosis.regression.linear_effects import INERTIAL
+from invdyn.diagnosis.regression.regress import Regression, regress
+from invdyn.diagnosis.regression.regressors import nominal_link_numbers
+from invdyn.inputs import load_body, read_logs
+from invdyn.models.bodies.joint_parts_mjcf import joint_names
+from invdyn.recordings import Recording, write_table
+
+STEP, RATE, SECONDS = 2.5e-4, 100.0, 10.0
+CHANGES = {
+    "none": "",
+    "friction": "coulomb_friction",
+    "mass": INERTIAL,
+    "gain": "actuator_gain",
+    "damping": "viscous_friction",
+    "rotor": "armature",
+}
+
+
+def played(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Times (T,), angles and targets (T, K), and the rms of K (c − q), velocity and acceleration by joint (3, K)."""
+    K, data = model.nv, mujoco.MjData(model)
+    model.opt.timestep = STEP
+    middle = model.key_qpos[0] if model.nkey else np.where(model.jnt_limited, model.jnt_range.mean(1), 0.0)
+    room = np.minimum(np.where(model.jnt_limited, np.ptp(model.jnt_range, 1) / 2, 2.0), 2.0)
+    frequency, phase = rng.uniform(0.1, 0.7, (3, K)), rng.uniform(0, 2 * np.pi, (3, K))
+    size = rng.uniform(0.1, 0.25, (3, K)) * room / np.maximum(frequency / 0.3, 1)
+    own = [int(np.flatnonzero(model.actuator_trnid[:, 0] == k)[0]) for k in range(K)]
+
+    def target(t: float) -> np.ndarray:
+        return np.asarray(middle + (size * (np.sin(2 * np.pi * frequency * t + phase) - np.sin(phase))).sum(0))
+
+    data.qpos[:], rows = middle, []
+    for n in range(round(SECONDS * RATE)):
+        data.ctrl[own] = target(n / RATE)
+        rows.append((n / RATE, data.qpos.copy(), data.ctrl[own].copy()))
+        sizes = []
+        for _ in range(round(1 / RATE / STEP)):
+            mujoco.mj_step(model, data)
+            asked = (model.actuator_gainprm[:, 0] * (data.ctrl - data.actuator_length))[own]
+            sizes.append((asked, data.qvel.copy(), data.qacc.copy()))
+        rows[-1] += (np.mean(np.square(sizes), 0),)
+    time, angle, command, square = (np.array(each) for each in zip(*rows, strict=True))
+    angle = angle + 2e-4 * rng.standard_normal(angle.shape)
+    return time, angle, command, np.sqrt(square.mean(0))
+
+
+def changed(model: mujoco.MjModel, change: str, k: int, sizes: np.ndarray) -> float:
+    """Change a number of a joint, by a share of its servo's K (c − q), or of its link, by .3 of itself; the new one."""
+    torque, speed, acceleration = sizes[:, k]
+    if change == "friction":
+        model.dof_frictionloss[k] += 0.15 * torque
+        return float(model.dof_frictionloss[k])
+    if change == "damping":
+        model.dof_damping[k] += 0.15 * torque / speed
+        return float(model.dof_damping[k])
+    if change == "rotor":
+        model.dof_armature[k] += 0.3 * torque / acceleration
+        return float(model.dof_armature[k])
+    if change == "gain":
+        servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == k)[0])
+        model.actuator_gainprm[servo, 0] *= 0.8
+        model.actuator_biasprm[servo, 1] *= 0.8
+        return 0.8
+    body = model.jnt_bodyid[k]
+    model.body_mass[body] *= 1.3
+    model.body_inertia[body] *= 1.3
+    return 1.3
+
+
+def read(folder: Path, model: str, names: list[str], log: tuple[np.ndarray, ...]) -> tuple[Recording, Any]:
+    """The log as a user's files give it, and the body of the file as published."""
+    time, angle, command, _ = log
+    columns = {"time": time} | {f"q{k}": angle[:, k] for k in range(len(names))}
+    columns |= {f"u{k}": command[:, k] for k in range(len(names))}
+    write_table(columns, folder / "log.csv")
+    text = "".join(f'[joints.{name}]\nangle = "q{k}"\ntarget = "u{k}"\n' for k, name in enumerate(names))
+    (folder / "map.toml").write_text(text)
+    body = load_body(model, filmed=False)
+    (reading,) = read_logs(str(folder / "log.csv"), body, str(folder / "map.toml"))
+    return getattr(reading, "recording", reading), body
+
+
+def value_error(result: Regression, body: Any, change: str, place: str, before: float, after: float) -> float:
+    """Relative error of the number that was changed; NaN where it is not among those that were found."""
+    own = [e for e in result.numbers if e.effect == CHANGES[change]]
+    if change == "mass":
+        link = list(body.link_names).index(place)
+        numbers = dict.fromkeys((f"{e.parameter} of {e.place}" for e in own), 0.0)
+        for word, each in zip(("mass", "first moment", "second moment"), nominal_link_numbers(body), strict=True):
+            axes = ("",) if len(each) == 1 else "xyz" if len(each) == 3 else ("xx", "yy", "zz", "xy", "xz", "yz")
+            numbers |= {f"{word} {a}".strip() + f" of {place}": 0.3 * v[link] for a, v in zip(axes, each, strict=True)}
+        off = []
+        for e in own:
+            parts = {f"{e.parameter} of {e.place}": 1.0} | dict(e.known_with)
+            shift = sum(factor * numbers.get(name, 0.0) for name, factor in parts.items())
+            off.append((abs(shift) / e.sd if e.sd else 0.0, abs(e.value - e.of_file - shift) / abs(e.of_file + shift)))
+        return max(off, default=(0.0, np.nan))[1]
+    mine = [e.value for e in own if e.place == place]
+    if not mine:
+        return float("nan")
+    whole = 1 + mine[0] if change == "gain" else before + mine[0]
+    return abs(whole / after - 1)
+
+
+def case(file: Path, change: str, seed: int) -> dict[str, Any]:
+    """One log and its answer."""
+    rng = np.random.default_rng([seed, *map(ord, file.stem)])
+    nominal, model = (mujoco.MjModel.from_xml_path(str(file)) for _ in range(2))
+    sizes = played(nominal, np.random.default_rng(rng.integers(2**32)))[3]
+    k = int(np.random.default_rng([seed, *map(ord, change)]).integers(model.nv))
+    numbers = {"friction": "dof_frictionloss", "damping": "dof_damping", "rotor": "dof_armature"}
+    before = float(getattr(nominal, numbers[change])[k]) if change in numbers else 1.0
+    after = changed(model, change, k, sizes) if change != "none" else 0.0
+    names = list(joint_names(model))
+    log = played(model, rng)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        recording, body = read(Path(folder), str(file), names, log)
+        start = clock.process_time()
+        result = regress(recording, body)
+        seconds = clock.process_time() - start
+    assert result is not None
+    place = names[k] if change != "mass" else body.link_names[body.joint_names.index(names[k])]
+    sure = {(s.effect, p) for s in result.stated for p in s.sure}
+    right = {(effect, p) for effect, p in sure if effect == CHANGES[change] and (change == "mass" or p == place)}
+    return {
+        "place": place,
+        "named": bool(right),
+        "else": len(sure - right),
+        "error": value_error(result, body, change, place, before, after) if change != "none" else None,
+        "closed": result.torque.share,
+        "said": [
+            f"{e}.{p} {s.probability[p]:.2f}" for s in result.stated for e, p in [(s.effect, q) for q in s.places]
+        ],
+        "far": dict(result.far_gains),
+        "seconds": seconds,
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", type=Path, required=True)
+    parser.add_argument("--robots", nargs="*")
+    parser.add_argument("--changes", nargs="*", default=list(CHANGES), choices=CHANGES)
+    parser.add_argument("--seed", type=int, default=47000)
+    parser.add_argument("--results", type=Path)
+    args = parser.parse_args()
+    files = [file for file in sorted(args.files.glob("*.xml")) if not args.robots or file.stem in args.robots]
+    print("| robot | changed | named | beside it | value off | torque closed | CPU s |\n|---|---|---|---|---|---|---|")
+    for file in files:
+        for change in args.changes:
+            name = f"{file.stem} {change} {args.seed}"
+            found = kept(args.results, name, partial(case, file, change, args.seed))
+            what = f"{change}, {found['place']}" if change != "none" else "nothing"
+            named = "" if change == "none" else "yes" if found["named"] else "no"
+            off = "" if found["error"] is None else "–" if np.isnan(found["error"]) else f"{100 * found['error']:.1f} %"
+            closed, seconds = f"{100 * found['closed']:.0f} %", f"{found['seconds']:.1f}"
+            print("|", " | ".join((file.stem, what, named, str(found["else"]), off, closed, seconds)), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()
