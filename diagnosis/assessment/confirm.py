@@ -70,13 +70,11 @@ def confirm_all(
     evidence by SMC cannot weigh them: that is all then.
     """
     runs = side_by_side([partial(confirm, problem, cause, derived(seed, 0)) for cause in causes], workers)
-    if len(runs) < 2 or any(not run.log_evidence_sd < problem.rules.evidence.max_filter_se for run in runs):
+    rules = problem.rules.evidence
+    if len(runs) < 2 or any(not run.log_evidence_sd < rules.max_filter_se for run in runs):
         return runs
-    unclear = [
-        i
-        for i, run in enumerate(runs)
-        if run.log_evidence_sd >= min(problem.rules.evidence.clear_se / temper, problem.rules.evidence.max_smc_se)
-    ]
+    clear = min(rules.clear_se / temper, rules.max_smc_se)
+    unclear = [i for i, run in enumerate(runs) if run.log_evidence_sd >= clear]
     again = [partial(confirm, problem, causes[i], derived(seed, 1), before=runs[i]) for i in unclear]
     both = dict(zip(unclear, side_by_side(again, workers), strict=True))
     return [both.get(i, run) for i, run in enumerate(runs)]
@@ -153,9 +151,8 @@ def _draw(problem: DiagnosisProblem, cause: FittedHypothesis, count: int, seed: 
         return torch.zeros(count, 0, dtype=torch.float64), torch.zeros(count, dtype=torch.float64)
     # In units of their own standard deviations: parameters differ by orders of magnitude.
     sd = np.maximum(cause.sd, 1e-6 * among.sd)
-    q = multivariate_t(
-        np.zeros(p), cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), df=problem.rules.outcome.proposal_degrees
-    )
+    shape, df = cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), problem.rules.outcome.proposal_degrees
+    q = multivariate_t(np.zeros(p), shape, df=df)
     half = q.rvs(math.ceil(count / 2), random_state=np.random.default_rng(seed)).reshape(-1, p)
     values = cause.mean + sd * np.concatenate([half, -half])[:count]
     inside = ((values > among.lower) & (values < among.upper)).all(-1)

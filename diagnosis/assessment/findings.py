@@ -112,12 +112,9 @@ def drawn(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, temper:
     among, rng = unknowns(problem, cause.effects), np.random.default_rng(seed)
     if not among.names:
         return {}
-    values = rng.multivariate_normal(
-        cause.mean,
-        tempered_covariance(cause.covariance, among.sd, temper),
-        problem.rules.outcome.num_interval_draws,
-        method="eigh",
-    )
+    covariance = tempered_covariance(cause.covariance, among.sd, temper)
+    count = problem.rules.outcome.num_interval_draws
+    values = rng.multivariate_normal(cause.mean, covariance, count, method="eigh")
     return dict(zip(among.names, np.clip(values, among.lower, among.upper).T, strict=True))
 
 
@@ -149,10 +146,8 @@ def _searched(
     value, prior = cause.noise[name], log_spread(p, problem.rules)
     share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
     wider = prior * np.sqrt(_tempered(min(share, 1.0) ** 2, temper))
-    return np.minimum(
-        value * np.exp(wider * rng.standard_normal(problem.rules.outcome.num_interval_draws)),
-        bounds(p, problem.rules)[1],
-    )
+    draws = value * np.exp(wider * rng.standard_normal(problem.rules.outcome.num_interval_draws))
+    return np.minimum(draws, bounds(p, problem.rules)[1])
 
 
 def _tempered(variance: np.ndarray | float, temper: float) -> np.ndarray | float:

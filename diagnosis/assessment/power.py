@@ -16,12 +16,10 @@ def too_little(problem: DiagnosisProblem, found: HypothesisPool) -> str | None:
     """
     if not problem.regime.knows_torque or found.best.effects:
         return None
-    levels, rules = problem.regime.sizes, problem.rules
+    levels, rules = problem.regime.sizes, problem.rules.evidence
     by_size = found.pool[""].by_size - problem.regime.log_prior
-    hidden = levels[
-        (levels >= rules.evidence.detectable_torque) & (by_size > by_size[0] - rules.evidence.ruled_out_gap)
-    ]
-    if not len(hidden) or by_size.max() > by_size[0] + rules.evidence.ruled_out_gap:
+    hidden = levels[(levels >= rules.detectable_torque) & (by_size > by_size[0] - rules.ruled_out_gap)]
+    if not len(hidden) or by_size.max() > by_size[0] + rules.ruled_out_gap:
         return None
     time, torque = problem.model.time, float(hidden.max() * problem.typical.max())
     rows, seconds = len(time), float(time[-1] - time[0])

@@ -168,12 +168,10 @@ def _search_values(found: HypothesisPool, base: FittedHypothesis, least: float) 
     slips = slips and (not known or base.log_evidence > found.cleaned - errs)
     slips = slips and not (found.explained and ((base.effects and base.complete) or behind > errs))
 
+    for_gaps = base.log_evidence + behind / problem.rules.search.unexplained_factor
+
     def searched(effect: Effect) -> list[FittedHypothesis | None]:
-        enough = (
-            base.log_evidence + behind / problem.rules.search.unexplained_factor
-            if isinstance(effect, HiddenHinge)
-            else found.top - errs
-        )
+        enough = for_gaps if isinstance(effect, HiddenHinge) else found.top - errs
         return [attempt(refine_searched, problem, base, effect, max(enough, least))]
 
     keys = {effect.key for effect in base.effects}

@@ -85,16 +85,14 @@ class BacklashFit:
         known = [cause for cause in self.tried.values() if cause is not None]
         nearest = min(known, key=lambda cause: abs(cause.noise[self.name] - width), default=self.base)
         model, effects = self.model(width), (*self.base.effects, self.effect)
-        if (
-            self.best is not None
-            and abs(np.log(width / self.best.noise[self.name])) < self.problem.rules.descent.near_width
-        ):
-            path = self.best.path
+        rules, best = self.problem.rules.descent, self.best
+        if best is not None and abs(np.log(width / best.noise[self.name])) < rules.near_width:
+            path = best.path
         else:
             path = continued(self.problem, model, lifted(model, self.base.path), self.problem.min_size)
         values = nearest.values | {self.name: width}
-        size, rounds = self.problem.min_size, self.problem.rules.descent.width_rounds
-        return refine(self.problem, effects, values, path, size, **self.base.searched, rounds=rounds)
+        size, searched = self.problem.min_size, self.base.searched
+        return refine(self.problem, effects, values, path, size, **searched, rounds=rules.width_rounds)
 
     def score(self, log_width: float) -> float:
         """Log evidence and log prior of a width's logarithm; wider than there may be, of the widest."""
@@ -102,12 +100,9 @@ class BacklashFit:
         if width not in self.tried:
             self.problem.budget.start(key_of((*self.base.effects, self.effect)))
             self.tried[width] = attempt(self.refined, width)
-        cause = self.tried[width]
-        return (
-            FIXED.failed_score
-            if cause is None
-            else cause.log_evidence + log_density_of([self.parameter], np.array([width]))
-        )
+        if (cause := self.tried[width]) is None:
+            return FIXED.failed_score
+        return cause.log_evidence + log_density_of([self.parameter], np.array([width]))
 
 
 def refine_backlash(
@@ -116,7 +111,8 @@ def refine_backlash(
     """``base`` and backlash; None if nothing is gained, or if the first widths stay under ``enough`` nats."""
     (parameter,), points = grid(effect, problem.model.scale, problem.rules)
     fit, widths = BacklashFit(problem, base, effect, parameter), [width for (width,) in points]
-    least = max(base.log_evidence + problem.rules.search.min_gain, enough)
+    rules, little = problem.rules.descent, problem.rules.search.min_gain
+    least = max(base.log_evidence + little, enough)
     # Where a base leaves nothing, what backlash gains rises with its width: two small ones show whether to try more.
     if base.complete and max(fit.along_base(widths[1:4:2])) < least:
         return None
@@ -124,21 +120,16 @@ def refine_backlash(
     if max(gained) < least:
         return None
     # What the narrowest gap explains as well as any, and as the next one, is none of the gap's.
-    if (
-        max(gained) < gained[0] + problem.rules.search.min_gain
-        and gained[1] > gained[0] - problem.rules.search.min_gain
-    ):
+    if max(gained) < gained[0] + little and gained[1] > gained[0] - little:
         return None
     start = float(np.log(widths[int(np.argmax(gained))]))
-    for step in (0.0, problem.rules.descent.width_step, -problem.rules.descent.width_step):
+    for step in (0.0, rules.width_step, -rules.width_step):
         fit.score(start + step)
     if fit.best is None or fit.best.log_evidence < least:
         return None
     top, variance = summit(fit.score, start, problem.rules)
     if not fit.best.complete:
-        wider = max(
-            (float(np.log(width)) for width in widths if width > problem.rules.descent.wide_backlash), key=fit.score
-        )
+        wider = max((float(np.log(width)) for width in widths if width > rules.wide_backlash), key=fit.score)
         if fit.score(wider) > fit.score(top):
             top, variance = summit(fit.score, wider, problem.rules)
     fit.score(top)

@@ -46,15 +46,13 @@ def continued(problem: DiagnosisProblem, model: ArmModel, path: Tensor, size: fl
     much noise in the dynamics it may first break what links one row to the next; then the noise falls to its own.
     """
     names = ["noise.angle", "noise.velocity", *(f"noise.hidden.{each.key}" for each in model.effects.hidden)]
-    for slack in problem.rules.descent.lead_slack:
+    rules, least = problem.rules.descent, max(size, problem.min_size)
+    most = max(problem.regime.path_size, size)
+    for slack in rules.lead_slack:
         noisy = model.replace(**{name: slack * model.parameters[name] for name in names})
-        quiet = problem.with_residual(
-            min(max(problem.regime.path_size, size), max(size, problem.min_size) * slack ** (2 / 3)), noisy
-        )
-        path = gauss_newton_path(
-            quiet, problem.observations, path, problem.rules.descent.lead_steps, problem.rules.descent.path_tolerance
-        )
-        problem.budget.spend(problem.rules.descent.lead_steps, noisy, len(path))
+        quiet = problem.with_residual(min(most, least * slack ** (2 / 3)), noisy)
+        path = gauss_newton_path(quiet, problem.observations, path, rules.lead_steps, rules.path_tolerance)
+        problem.budget.spend(rules.lead_steps, noisy, len(path))
     return path
 
 
@@ -64,10 +62,8 @@ def with_smaller_residual(problem: DiagnosisProblem, model: ArmModel, path: Tens
     Gauss–Newton by itself keeps the times at which joints stick and slip; where they do, it may also need a homotopy,
     and the better of both paths is taken.
     """
-    quiet = problem.with_residual(max(size, problem.min_size), model)
-    own = gauss_newton_path(
-        quiet, problem.observations, path, problem.rules.descent.firm_steps, problem.rules.descent.path_tolerance
-    )
+    rules, quiet = problem.rules.descent, problem.with_residual(max(size, problem.min_size), model)
+    own = gauss_newton_path(quiet, problem.observations, path, rules.firm_steps, rules.path_tolerance)
     problem.budget.spend(FIXED.firm_cost, model, len(path))
     if not model.effects.abrupt:
         return own

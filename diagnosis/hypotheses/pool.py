@@ -75,11 +75,10 @@ class HypothesisPool:
         Outliers gain thousands of nats: a more probable cause is measured from there. A cause that leaves something
         beyond chance stands for a set with another effect, which has its prior.
         """
-        none, cleaned, temper = self.pool[""].log_evidence, self.cleaned, self.temper
-        outliers = tempered(self.top - none, self.rules.evidence.temper_scale) * (
-            min(cause.log_evidence, cleaned) - none
-        )
-        beyond = cause.log_evidence_at(temper) - temper * min(cause.log_evidence, cleaned)
+        none, temper = self.pool[""].log_evidence, self.temper
+        clean = min(cause.log_evidence, self.cleaned)
+        outliers = tempered(self.top - none, self.rules.evidence.temper_scale) * (clean - none)
+        beyond = cause.log_evidence_at(temper) - temper * clean
         rest = log(another(self.count(cause), self.rules)) if self.leaves(cause) else 0.0
         return outliers + beyond + self.log_prior(cause.effects) + rest
 

@@ -84,10 +84,8 @@ def refine(
         """Path and expansion about ``point``: the cause where its parameters go, and the gain that promises."""
         here = among.set_in(model, point)
         quiet = problem.with_residual(max(size, problem.min_size), here)
-        before, path = (
-            path,
-            gauss_newton_path(quiet, problem.observations, path, rules.path_steps, rules.path_tolerance),
-        )
+        before = path
+        path = gauss_newton_path(quiet, problem.observations, path, rules.path_steps, rules.path_tolerance)
         problem.budget.spend(rules.path_steps + FIXED.refused_steps + 0.2 * len(point), here, len(path))
         if first and torch.equal(path, before):
             # It may be so far off, as that of a noisier chain is, that no step was short enough.
@@ -188,11 +186,10 @@ def within_bounds(
             return within
         at_bound |= over
         free = ~at_bound
-        gain = np.linalg.lstsq(covariance[np.ix_(at_bound, at_bound)], covariance[np.ix_(at_bound, free)], rcond=None)[
-            0
-        ].T
+        own, others = covariance[np.ix_(at_bound, at_bound)], covariance[np.ix_(at_bound, free)]
+        gain, *_ = np.linalg.lstsq(own, others, rcond=None)
         target = within.copy()
-        target[free] = whole[free] + gain @ (within - whole)[at_bound]
+        target[free] = whole[free] + gain.T @ (within - whole)[at_bound]
 
 
 def promised_gain(among: Unknowns, point: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> float:

@@ -219,12 +219,8 @@ def exchange(found: HypothesisPool, best: FittedHypothesis) -> None:
         # What is large moves what is seen on no straight line: half of the gain makes a rival, too.
         least = nothing + needed(found.top - nothing, explained=True, rules=problem.rules)
         near = [s for s in screened if s.effect is None or s.log_evidence > least]
-        refine_best(
-            found,
-            replace(base, model=model, path=path, log_evidence=nothing),
-            near,
-            problem.rules.search.max_candidates_exchanged,
-        )
+        along = replace(base, model=model, path=path, log_evidence=nothing)
+        refine_best(found, along, near, problem.rules.search.max_candidates_exchanged)
     follow_neighbours(found, len(best.effects))
 
 

@@ -56,17 +56,9 @@ def log_density_of(parameters: Sequence[Parameter], values: np.ndarray) -> float
 
 def climb(score: Score, start: np.ndarray, rules: Rules = DEFAULT) -> tuple[np.ndarray, np.ndarray, float]:
     """Mode (p,) of logarithms, their covariance (p, p), and the log-integral of exp(score) around it."""
-    found = minimize(
-        lambda x: -score(x),
-        start,
-        method="Nelder-Mead",
-        options={
-            "maxfev": rules.descent.simplex_evaluations * len(start),
-            "initial_simplex": _simplex(start),
-            "fatol": 0.1,
-            "xatol": 0.05,
-        },
-    )
+    first, most = np.vstack([start, start + 0.4 * np.eye(len(start))]), rules.descent.simplex_evaluations * len(start)
+    options = {"maxfev": most, "initial_simplex": first, "fatol": 0.1, "xatol": 0.05}
+    found = minimize(lambda x: -score(x), start, method="Nelder-Mead", options=options)
     x, top = found.x, -found.fun
     p, step = len(x), 0.1
     unit = step * np.eye(p)
@@ -82,7 +74,3 @@ def climb(score: Score, start: np.ndarray, rules: Rules = DEFAULT) -> tuple[np.n
     covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
     integral = top + 0.5 * (p * np.log(2 * np.pi) + np.linalg.slogdet(covariance)[1])
     return x, covariance, integral
-
-
-def _simplex(start: np.ndarray) -> np.ndarray:
-    return np.vstack([start, start + 0.4 * np.eye(len(start))])

@@ -41,9 +41,8 @@ def follow_neighbours(found: HypothesisPool, number: int) -> None:
     """
     problem = found.problem
     visited: dict[int, FittedHypothesis] = {}
-    while fresh := [
-        c for c in _near(found, number, found.top - problem.rules.search.large_screen_error) if id(c) not in visited
-    ]:
+    errs = problem.rules.search.large_screen_error
+    while fresh := [c for c in _near(found, number, found.top - errs) if id(c) not in visited]:
         for cause in fresh:
             visited[id(cause)] = cause
             _swap_each(found, cause, ("twin", "wider", "narrower"))
@@ -96,9 +95,8 @@ def _follow(found: HypothesisPool, cause: FittedHypothesis, mine: Effect, other:
     if other.kind == "wider":
         done = cause.complete or (there is not None and there.complete)
     else:
-        done = there is not None and there.log_evidence > cause.log_evidence - (
-            0.0 if related else problem.rules.search.equal_gain
-        )
+        apart = 0.0 if related else problem.rules.search.equal_gain
+        done = there is not None and there.log_evidence > cause.log_evidence - apart
     if other.kind == "similar":
         its, ours = (len(effect.parameters(problem.model.scale)) for effect in (other.effect, mine))
         # what leaves nothing gives way to what says it in fewer numbers, at most
@@ -190,14 +188,11 @@ def _refine_moved(found: HypothesisPool, cause: FittedHypothesis, mine: Effect) 
     Evidence is as narrow a function of its moment as the arm's answer is sharp, and Gauss–Newton ends in the nearest
     of its peaks. Along the path that it has found, each of a few moments and durations about its own is one regression.
     """
-    problem = found.problem
+    problem, rules = found.problem, found.rules.search
+    first, last = problem.model.time[[0, -1]].tolist()
     while not _followed(found, cause, mine, mine, " moved"):
         there = of_effect(mine, cause.values)
-        (first, last), width = (
-            problem.model.time[[0, -1]].tolist(),
-            max(there["duration"], problem.rules.search.min_burst),
-        )
-        moves = product(problem.rules.search.burst_shifts, problem.rules.search.burst_factors)
+        width, moves = max(there["duration"], rules.min_burst), product(rules.burst_shifts, rules.burst_factors)
         middles = [(there["moment"] + a * width, s * width / 2) for a, s in moves]
         times = [(middle - half, middle + half) for middle, half in middles if first < middle < last]
         model, common, point = expanded_about(problem, cause.less(problem, mine))

@@ -38,14 +38,13 @@ from invdyn.recordings.jitter import jitter
 
 def show_more(problem: DiagnosisProblem, cause: FittedHypothesis, errors: np.ndarray) -> bool:
     """Whether a cause's errors of prediction (T, O) are large, correlated, or outliers that come together."""
-    if noise_ratio(problem, cause) > problem.rules.residual.max_error_ratio:
+    rules = problem.rules.residual
+    if noise_ratio(problem, cause) > rules.max_error_ratio:
         return True
     correlated, chance = correlation(errors)
     company, by_chance = shared_outliers(problem, cause)
-    return (
-        correlated > problem.rules.residual.max_error_correlation + problem.rules.residual.error_margin * chance
-        or company > problem.rules.residual.max_shared_outliers + problem.rules.residual.error_margin * by_chance
-    )
+    remembers = correlated > rules.max_error_correlation + rules.error_margin * chance
+    return remembers or company > rules.max_shared_outliers + rules.error_margin * by_chance
 
 
 def prediction_errors(problem: DiagnosisProblem, cause: FittedHypothesis) -> np.ndarray:

@@ -16,7 +16,7 @@ Shapes: walkers (..., C, P), any number of groups before; μ (..., P), Σ (..., 
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,8 +28,7 @@ RIDGE = 1e-6
 """Variance added to each coordinate of the unconstrained scale, so that Σ always has a square root."""
 
 
-@dataclass(frozen=True)
-class Walkers:
+class Walkers(NamedTuple):
     """Walkers at z (..., P) with their log-prior and log-likelihood (...)."""
 
     z: Tensor
@@ -59,12 +58,7 @@ def metropolis(
     def chosen(new: Tensor, old: Tensor) -> Tensor:
         return torch.where(moved.reshape(*moved.shape, *[1] * (new.ndim - moved.ndim)), new, old)
 
-    after = Walkers(
-        chosen(proposed.z, walkers.z),
-        chosen(proposed.log_prior, walkers.log_prior),
-        chosen(proposed.log_likelihood, walkers.log_likelihood),
-    )
-    return after, moved, chance
+    return Walkers(*map(chosen, proposed, walkers)), moved, chance
 
 
 def step_root(covariance: Tensor, scale: float | Tensor = 1.0) -> Tensor:

@@ -132,10 +132,10 @@ def _run(
             exponent = after
 
             _, covariance = weighted_moments(particles.z, log_weights)
-            walkers, acceptance = _waste_free(
-                particles, log_weights, chain_length, step_root(covariance), space, log_likelihood, exponent
+            root = step_root(covariance)
+            particles, acceptance = _waste_free(
+                particles, log_weights, chain_length, root, space, log_likelihood, exponent
             )
-            particles = walkers
     return {
         "z": particles.z,
         "log_weights": torch.full((num_draws,), -math.log(num_draws), dtype=torch.float64),
@@ -156,18 +156,13 @@ def _waste_free(
 ) -> tuple[Walkers, Tensor]:
     """N particles of π_λ from N weighted ones, and the acceptance of the chains' steps."""
     index = _ancestors(log_weights, len(particles.z) // chain_length)
-    walkers = Walkers(particles.z[index], particles.log_prior[index], particles.log_likelihood[index])
+    walkers = Walkers(*(each[index] for each in particles))
     states, chances = [walkers], []
     for _ in range(chain_length - 1):
         walkers, _, chance = metropolis(walkers, root, space.log_prior, log_likelihood, exponent)
         states.append(walkers)
         chances.append(chance.mean())
-    together = Walkers(
-        torch.cat([each.z for each in states]),
-        torch.cat([each.log_prior for each in states]),
-        torch.cat([each.log_likelihood for each in states]),
-    )
-    return together, torch.stack(chances).mean()
+    return Walkers(*map(torch.cat, zip(*states, strict=True))), torch.stack(chances).mean()
 
 
 def _ancestors(log_weights: Tensor, count: int) -> Tensor:
