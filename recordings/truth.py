@@ -6,6 +6,7 @@ and so is a missing column: torques alone are enough.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,8 @@ class Truth:
             columns = [np.interp(time, self.time, column, left=np.nan, right=np.nan) for column in values.T]
             return np.stack(columns, axis=-1)
 
-        return replace(self, time=time, **{each: resample(getattr(self, each)) for each in QUANTITIES})
+        moved: dict[str, Any] = {each: resample(getattr(self, each)) for each in QUANTITIES}
+        return replace(self, time=time, **moved)
 
 
 def write_truth(truth: Truth, path: str | Path) -> None:
