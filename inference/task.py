@@ -169,7 +169,11 @@ class Task:
         with seeded(derived(self.seed, SETS)):
             count = min(NUM_SETS, self.options.num_filters)
             if not self.problem.model.body.has_priors:  # a body is drawn for each set
-                count = min(count, sets_needed(self.candidates, self.options.num_filters * self.options.num_draws))
+                joints = self.problem.model.body.num_joints
+                # Torques come first, angles and velocities last.
+                shown = [*range(joints), *range(-2 * joints, 0)]
+                draws = self.options.num_filters * self.options.num_draws
+                count = min(count, sets_needed(self.candidates, shown, draws))
             sets = parameter_draws(self.candidates, self.problem.observations, count)
         one_by_one = partial(over_bodies, partial(_by_name, method), sets=sets)
         model = self.problem.model
@@ -248,8 +252,8 @@ def prepare(
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
 
-    def begin(number: int) -> Mapping[str, Tensor]:
-        return _of_middle(recording, partial(bound, process=processes[number]), frees[number])
+    def begin(number: int, known: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        return _of_middle(recording, partial(bound, process=processes[number]), frees[number], known)
 
     fits, doubts_of = _fitted(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
@@ -284,7 +288,7 @@ def prepare(
 def _fitted(
     problems: Sequence[Problem],
     frees: Sequence[list[Free]],
-    begin: Callable[[int], Mapping[str, Tensor]],
+    begin: Callable[[int, Mapping[str, Tensor]], Mapping[str, Tensor]],
     report: Report | None,
     checkpoint: Checkpoint | None,
 ) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
@@ -300,7 +304,7 @@ def _fitted(
         part = _share(report, number, len(problems))
         model, rows = at_start(problem, free), problem.observations
         like = _like(model, problems[0].model, fits[0]) if number else {"begin": {}}
-        like["begin"] |= begin(number)
+        like["begin"] |= begin(number, like["begin"])
         found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, **like)
         fits.append(found)
         doubts.append(doubt)
@@ -316,9 +320,11 @@ def _fitted(
 
 
 def _of_middle(
-    recording: Recording, bound: Callable[[Recording], Problem], free: Sequence[Free]
+    recording: Recording, bound: Callable[[Recording], Problem], free: Sequence[Free], known: Mapping[str, Tensor]
 ) -> Mapping[str, Tensor]:
     """Parameters fitted on the middle of a long recording, at which to begin with all of it: {} where there are none.
+
+    Their own fit begins at those that are ``known`` of another process.
 
     They save most of the search, and change what it finds by no more than its tolerance.
     """
@@ -329,7 +335,7 @@ def _of_middle(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the whole recording's fit says what is to be said
             problem = bound(recording.select(first, first + PILOT_ROWS))
-            model = fit(at_start(problem, free), problem.observations, free).model
+            model = fit(at_start(problem, free), problem.observations, free, begin=known).model
     except (InputError, Diverged, KeyError):
         return {}  # the arm is not seen there, say
     return {each.name: model.parameters[each.name] for each in free}
@@ -353,13 +359,14 @@ def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
 
 PARAMETER = "parameter "
 """Before a parameter's name in a checkpoint: it may be any."""
-NUMBERS = ("log_evidence", "log_marginal", "scatter")
+NUMBERS = ("log_evidence", "log_marginal")
+ARRAYS = ("phi", "covariance", "scatter")
 """Of a fit, that a checkpoint keeps."""
 
 
 def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
     """What of a fit is a tensor."""
-    own = {"path": fit.path, "phi": torch.as_tensor(fit.phi), "covariance": torch.as_tensor(fit.covariance)}
+    own = {"path": fit.path} | {name: torch.as_tensor(getattr(fit, name)) for name in ARRAYS}
     own |= {f"log_sd {name}": torch.as_tensor(value) for name, value in fit.log_sd.items()}
     return own | {f"{PARAMETER}{name}": value for name, value in fit.model.parameters.items()}
 
@@ -368,9 +375,8 @@ def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, A
     """The fit whose tensors :func:`_tensors_of` gave."""
     model = problem.model.replace(**part_of(tensors, PARAMETER))
     log_sd = {name: value.numpy() for name, value in part_of(tensors, "log_sd ").items()}
-    phi, covariance = tensors["phi"].numpy(), tensors["covariance"].numpy()
-    of = {name: numbers[name] for name in ("converged", *NUMBERS)}
-    return Fit(model=model, path=tensors["path"], log_sd=log_sd, phi=phi, covariance=covariance, **of)
+    of = {name: numbers[name] for name in ("converged", *NUMBERS)} | {name: tensors[name].numpy() for name in ARRAYS}
+    return Fit(model=model, path=tensors["path"], log_sd=log_sd, **of)
 
 
 def _share(report: Report | None, number: int, count: int) -> Report | None:

@@ -12,9 +12,8 @@ Under heavy tails the least squares that stand in for rows have the right gradie
 wrong: it serves the search. What is reported of parameters comes from differences of gradients, each at its own mode.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -43,9 +42,10 @@ PATIENCE = 6
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
-MIN_GAIN, HEAVY_MIN_GAIN = 0.1, 5e-3
-"""nats that a whole Newton step would gain, by which the search ends. That step is taken all the same, and its end not
-evaluated: φ is then within a tenth of its posterior sd of the optimum. Under heavy tails it is not taken."""
+LEFT, HEAVY_MIN_GAIN = 0.05, 5e-3
+"""The search ends where one Newton step is left, whose end is not evaluated. From d posterior sds away such a step of a
+logarithm of sd s ends some d² s from the optimum: its gain of ½ d² nats is at most ``LEFT`` / s, for a tenth of an sd.
+Under heavy tails no step is left, and at most so many nats."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
@@ -96,7 +96,8 @@ class Fit(Generic[M]):
         phi: (P,) the optimum, in the coordinates of :class:`LogParameters`.
         covariance: (P, P) posterior covariance of φ (Laplace).
         log_marginal: log p(y) with φ integrated out over its prior (Laplace), nats: what models are compared by.
-        scatter: squared error, as a share, that a state's variance has if one φ is drawn (:meth:`Objective.scatter`).
+        scatter: (D,) squared error, as a share, that a state's variance has if one φ is drawn
+            (:meth:`Objective.scatter`); empty where it is not known.
     """
 
     model: M
@@ -107,7 +108,7 @@ class Fit(Generic[M]):
     phi: np.ndarray
     covariance: np.ndarray
     log_marginal: float
-    scatter: float = math.inf
+    scatter: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class LogParameters(Generic[M]):
@@ -200,7 +201,7 @@ class Objective(Generic[M]):
         return self._evaluate(phi)[2]
 
     def last_step(self, phi: np.ndarray) -> tuple[np.ndarray, float] | None:
-        """The whole Newton step (P,) from φ and the nats that it gains, where these are next to nothing; else None."""
+        """The whole Newton step (P,) from φ and the nats that it gains, where it is the last one; else None."""
         if self._known is None or self._known[0] != phi.tobytes():
             return None
         _, gradient, hessian = self._known[1]
@@ -209,7 +210,7 @@ class Objective(Generic[M]):
             return None
         step = -vectors @ ((gradient @ vectors) / values)
         gain = -0.5 * float(gradient @ step)
-        if gain >= (HEAVY_MIN_GAIN if self.heavy else MIN_GAIN):
+        if gain >= (HEAVY_MIN_GAIN if self.heavy else LEFT * np.sqrt(values[0])):
             return None
         return (np.zeros_like(step), 0.0) if self.heavy else (step, gain)
 
@@ -303,19 +304,18 @@ class Objective(Generic[M]):
         assert self._moves is not None
         return torch.as_tensor(np.einsum("p,ptd->td", step, self._moves[0][0]))
 
-    def scatter(self, covariance: np.ndarray) -> float:
-        """Squared error, as a share, that a state's variance has where one φ is drawn, of a ``covariance`` C (P, P).
+    def scatter(self, covariance: np.ndarray) -> np.ndarray:
+        """Squared error (D,), as a share, of a state's variance where one φ is drawn, of a ``covariance`` C (P, P).
 
         With slopes J of the mean path, φ adds a share b = ⟨J C Jᵀ / P⟩ to a variance P (Kass & Steffey 1989, JASA 84,
         717), an average over rows, and one draw of it tells b up to √2 b. With slopes of a draw's way from the mean,
-        that is √P u for a u that stays, the same average is a quarter of the variance v² of log P. The state with the
-        largest 2 b² + v² counts.
+        that is √P u for a u that stays, the same average is a quarter of the variance v² of log P: 2 b² + v².
         """
         assert self._moves is not None
         slopes, variance = self._moves
         added = np.einsum("sptd,pq,sqtd->std", slopes, covariance, slopes, optimize=True)
         share = np.divide(added, variance, out=np.zeros_like(added), where=variance > 0).mean(1)
-        return float(np.nan_to_num(2 * share[0] ** 2 + 4 * share[1], nan=np.inf).max())
+        return np.nan_to_num(2 * share[0] ** 2 + 4 * share[1], nan=np.inf)
 
     def _shifted(
         self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor, count: int
@@ -329,9 +329,9 @@ class Objective(Generic[M]):
         paths: list[np.ndarray] = []
         at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
         for some in np.array_split(shifts, -(-len(shifts) // at_once)):
-            over = (each.expand(len(some), *each.shape) for each in (path, covariance))
+            centre, around = (each.expand(len(some), *each.shape) for each in (path, covariance))
             moved, seen = (self._shared_means(phi, some, each) for each in slopes)
-            linear = fit_linear(self.at(phi + some), self.observations, *over, moved, seen)
+            linear = fit_linear(self.at(phi + some), self.observations, centre, around, moved, seen)
             mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise)
             found.append(evidence)
             paths.append(np.stack([mean, drawn])[:, : max(0, count - sum(map(len, found[:-1])))])
@@ -342,10 +342,8 @@ class Objective(Generic[M]):
         each = np.zeros((1 + len(self.free), len(phi)))
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP
-        moving = np.zeros((2, len(each)), dtype=bool)
-        for k in range(1, len(each)):
-            over = (values.expand(2, *values.shape) for values in (path, covariance))
-            moving[:, k] = [bool(found[1]) for found in moved_means(self.at(phi + each[[0, k]]), *over)]
+        path, covariance = (values.expand(len(each), *values.shape) for values in (path, covariance))
+        moving = moved_means(self.at(phi + each), path, covariance)
         return [each.T @ np.where(those, 1 / STEP, 0.0) for those in moving]
 
     def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, moves: np.ndarray) -> SharedMeans:
@@ -391,7 +389,9 @@ def fit(
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
         none, evidence = np.zeros(0), smoother.log_evidence.item()
-        return Fit(model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence, 0.0)
+        return Fit(
+            model, evidence, smoother.path, {}, True, none, np.zeros((0, 0)), evidence, np.zeros(model.state_dim)
+        )
     objective = Objective(model, observations, free, start)
     # Once: copies with other numbers inherit the result.
     check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))

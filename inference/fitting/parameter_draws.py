@@ -74,11 +74,12 @@ def probabilities(candidates: Sequence[Candidate]) -> np.ndarray:
     return share / share.sum()
 
 
-def sets_needed(candidates: Sequence[Candidate], draws: int) -> int:
-    """Sets for a posterior of so many ``draws``: S at the top of the file; many where it is not known."""
+def sets_needed(candidates: Sequence[Candidate], states: Sequence[int], draws: int) -> int:
+    """Sets S for a posterior of so many ``draws``, in which these ``states`` count; see the top of the file."""
     share = probabilities(candidates)
-    scatter = float(share @ [min(each.fit.scatter, 1e6) for each in candidates]) + float((share * (1 - share)).max())
-    return max(1, math.ceil(2 * draws * scatter))
+    worst = [each.fit.scatter[list(states)].max() if len(each.fit.scatter) else 1e6 for each in candidates]
+    scatter = float(share @ np.minimum(worst, 1e6)) + float((share * (1 - share)).max())
+    return max(1, math.ceil(0.5 * draws * scatter))
 
 
 @torch.no_grad()

@@ -205,17 +205,19 @@ def _about_mean(fits: Fits, emission: Distribution, observations: Tensor) -> Fit
     return whitening @ H, (whitening @ residual).squeeze(-1), constant
 
 
+@torch.no_grad()
 def moved_means(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has."""
-    fits = [_transitions(SharedMeans(model), path, covariance)]
-    with torch.no_grad():
-        emission = model.emission(path, torch.arange(path.shape[-2]))
-    if not keeps_noise(model, path, emission):
-        moved = torch.stack([(each != each[:1]).flatten(1).any(1) for each in fits[0]]).any(0)
-        return moved, torch.ones_like(moved)
-    fits.append(_emissions(SharedMeans(model), path, covariance))
-    moved, seen = (torch.stack([(each != each[:1]).flatten(1).any(1) for each in pieces]).any(0) for pieces in fits)
-    return moved, seen
+    """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has.
+
+    They are compared a standard deviation off ``path``, where nothing vanishes by chance.
+    """
+    rows = torch.arange(path.shape[-2])
+    places = path + covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    moved = gaussian_mean(model.transition(places[..., :-1, :], rows[1:]))
+    keeps = keeps_noise(model, path, model.emission(path, rows))
+    seen = emission_mean(model, places, rows) if keeps else None
+    differ = [(each != each[:1]).flatten(1).any(1) for each in (moved, *([] if seen is None else [seen]))]
+    return differ[0], torch.ones_like(differ[0]) if seen is None else differ[1]
 
 
 def _transitions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:

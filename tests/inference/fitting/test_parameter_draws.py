@@ -7,7 +7,7 @@ from pyro.distributions import Normal
 from scipy.stats import multivariate_normal, norm
 
 from invdyn.inference import Free, fit
-from invdyn.inference.fitting.parameter_draws import Candidate, parameter_draws, probabilities
+from invdyn.inference.fitting.parameter_draws import Candidate, parameter_draws, probabilities, sets_needed
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import StateSpaceModel
 
@@ -107,3 +107,18 @@ def test_without_free_parameters_the_models_alone_are_drawn(rows):
     sets = parameter_draws(known, rows, 50)
     share = probabilities(known)[0]
     assert sum(each.candidate == 0 for each in sets) / 50 == pytest.approx(share, abs=0.03)
+
+
+def test_a_long_recording_takes_fewer_sets(rows, candidates):
+    """Of what 25 rows leave open, more sets than 400 rows do; of nothing that is open, one."""
+    torch.manual_seed(4)
+    model = Walk(NOISES[0], 0.15)
+    model.num_steps = 400
+    free = [Free("step", sd=WIDE)]
+    longer = Walk(NOISES[0])
+    longer.num_steps = 400
+    many = [Candidate(longer, free, fit(longer, model.simulate()[1].double(), free))]
+    few = sets_needed(candidates[:1], [0], 256)
+    assert few > 3 * sets_needed(many, [0], 256)
+    known = [Candidate(Walk(NOISES[0]), [], fit(Walk(NOISES[0]), rows, []))]
+    assert sets_needed(known, [0], 256) == 1
