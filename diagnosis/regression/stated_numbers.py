@@ -121,8 +121,9 @@ def drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[Numb
     if not fit.chosen.columns:
         return ()
     rng = np.random.default_rng(0)
-    sd = np.sqrt(np.maximum(np.diag(fit.covariance), np.finfo(float).tiny))
-    alike = fit.covariance / sd[:, None] / sd
+    whole = fit.covariance + fit.discrepancy
+    sd = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+    alike = whole / sd[:, None] / sd
     # columns that say nearly the same have eigenvalues that are below zero by rounding
     values = sd * rng.multivariate_normal(
         np.zeros(len(sd)), alike, FIXED.regression_draws, check_valid="ignore", method="eigh"
@@ -153,16 +154,16 @@ def _scaled(numbers: Numbers, place: str, factor: float) -> Numbers:
 def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
     """Numbers of effects at joints."""
     values, unsure = named(effects, fit.chosen, servos), _without_scale(effects, fit.chosen, servos)
-    sds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
+    sds, more = (np.sqrt(np.maximum(np.diag(each), 0.0)).tolist() for each in (fit.covariance, fit.discrepancy))
     own = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
-    sd_of = dict(zip(own, sds, strict=True))
+    sd_of, more_of = (dict(zip(own, each, strict=True)) for each in (sds, more))
     fitted = dict(zip(own, fit.chosen.values.tolist(), strict=True))
     found = []
     for (kind, place, name), value in values.items():
         if kind == INERTIAL:
             continue
-        sd = sd_of.get((kind, place, name), 0.0) / (1 + fitted.get((GAIN, place, "gain"), 0.0))
-        sd *= 1 + value if kind == GAIN else 1.0
+        scale = (1 + value if kind == GAIN else 1.0) / (1 + fitted.get((GAIN, place, "gain"), 0.0))
+        sd = scale * sd_of.get((kind, place, name), 0.0)
         if place in unsure:
             sd = np.hypot(sd, FIXED.servo_gain_sd * (1 + value if kind == GAIN else value))
         p = own.get((kind, place, name))
@@ -171,7 +172,7 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
         probability = probability_of(*known, 1.0 if p is None else float(effects.size[p]), fit)
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
         unit = "1" if p is None else effects.units[p]
-        sd, interval = _estimate(value, float(sd), fit.freedom)
+        sd, interval = _estimate(value, float(np.hypot(sd, scale * more_of.get(key, 0.0))), fit.freedom)
         found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, probability=probability))
     return found
 
@@ -219,12 +220,13 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         whole[mine] = combination
         nominal = float(combination @ own[[p - offset for p in columns]])
         value = nominal + float(whole @ chosen.values)
-        sd, interval = _estimate(value, float(np.sqrt(max(whole @ fit.covariance @ whole, 0.0))), fit.freedom)
+        sd, more = (float(np.sqrt(max(whole @ each @ whole, 0.0))) for each in (fit.covariance, fit.discrepancy))
         parts = {named[j]: float(combination[j]) for j in rest if abs(combination[j]) > 1e-9}
         p = columns[b]
         name, place, unit = effects.names[p], effects.places[p], effects.units[p]
         size = float(np.linalg.norm(combination * effects.size[columns]))
         probability = probability_of(value - nominal, sd, size, fit)
+        sd, interval = _estimate(value, float(np.hypot(sd, more)), fit.freedom)
         found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability))
     return found
 

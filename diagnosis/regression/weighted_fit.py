@@ -41,6 +41,8 @@ from invdyn.diagnosis.rules import FIXED, Rules
 class Fitted:
     """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows.
 
+    `discrepancy` (p, p) is what torques that are tolerated add to the covariance: to what a number may be, and not to
+    whether it is there.
     `others` are columns of effects at places that were not chosen: value and sd with each of these added by itself.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
     """
@@ -49,6 +51,7 @@ class Fitted:
     covariance: np.ndarray
     freedom: int
     weights: np.ndarray
+    discrepancy: np.ndarray
     others: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     tolerance: float = 0.0
 
@@ -100,11 +103,11 @@ def weighted_fit(
         for own in places.values():
             also = choice.including(chosen, own)
             if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
-                place, sd = also.columns.index(own[0]), np.sqrt(np.diag(of(also)))
+                place, sd = also.columns.index(own[0]), np.sqrt(np.diag(of(also)[0]))
                 added[own[0]] = (float(also.values[place]), float(sd[place]))
-    return Fitted(
-        choice.with_gains(chosen), of(chosen), len(moments.folds) - 1, weights, added, rules.evidence.tolerance
-    )
+    (covariance, discrepancy), freedom = of(chosen), len(moments.folds) - 1
+    gained, tolerance = choice.with_gains(chosen), rules.evidence.tolerance
+    return Fitted(gained, covariance, freedom, weights, discrepancy, added, tolerance)
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:
@@ -169,11 +172,11 @@ def _covariance(
     stretch: np.ndarray,
     tau: np.ndarray,
     chosen: Chosen,
-) -> np.ndarray:
-    """A⁻¹ (B + C) A⁻¹ (p, p); of B at least that of rows that count, and of the jackknife; ``gram`` is XᵀWX."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """A⁻¹ B A⁻¹ (p, p), at least that of rows that count, and of the jackknife; and A⁻¹ C A⁻¹; ``gram`` is XᵀWX."""
     columns, noise = list(chosen.columns), chosen.noise
     if not columns:
-        return np.zeros((0, 0))
+        return np.zeros((0, 0)), np.zeros((0, 0))
     own = gram[:, columns][:, :, columns] / noise[:, None, None] ** 2
     prior = np.diag([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
     inverse = _inverse(own.sum(0) + prior)
@@ -186,7 +189,7 @@ def _covariance(
     least = np.maximum(np.diag(_inverse((own / tau[:, None, None]).sum(0) + prior)), jackknife)
     grow = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-300), 1.0))
     worst = effects.columns.sums(effects.missing, len(weights) * (weights / noise**2 * choice.tolerated) ** 2)[0]
-    return np.asarray(robust * grow[:, None] * grow + inverse @ worst.sum(0)[columns][:, columns] @ inverse)
+    return robust * grow[:, None] * grow, inverse @ worst.sum(0)[columns][:, columns] @ inverse
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
