@@ -33,12 +33,7 @@ from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
 MAX_DRAWS = 16
 MIN_DPRIME = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
-USUAL_DRAWS, GROWTH_PER_DRAW, MAX_GROWTH = (
-    3,
-    1.5,
-    1.5**5,
-)  # draws of usual size; factor from then on, each time, and altogether
-
+USUAL_DRAWS, GROWTH_PER_DRAW, MAX_GROWTH = 3, 1.5, 1.5**5  # draws of usual size; factor of each later one, and of all
 PLACES = tuple(KINDS)  # a kind's number in its seeds
 UNLISTED_NEEDS = {"cross_viscosity": ("two joints",), "cable": ("two joints",), "hot_motor": ("command",)}
 """What those outside the catalogue need, as `effects.Injected.needs`."""

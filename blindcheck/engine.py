@@ -86,7 +86,10 @@ PINOCCHIO = Engine(
     "pin",
     "pinocchio",
     PLANE,
-    {name: replace(each, size=partial(drawn_form, name), install=FORMS.get(name)) for name, each in EFFECTS.items()},
+    {
+        name: replace(each, size=partial(drawn_form, name), install=FORMS.get(name, each.install))
+        for name, each in EFFECTS.items()
+    },
     SecondWorld,
     UNLISTED,
     film_of_any_law,

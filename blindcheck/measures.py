@@ -68,10 +68,8 @@ def rate(name: str, hits: Sequence[bool], target: str = "") -> Measure:
 def mean(name: str, values: Sequence[float], target: str = "", unit: str = "mean") -> Measure:
     """Mean and its standard error."""
     n = len(values)
-    if not n:
-        return Measure(name, None, None, None, 0, target, unit)
-    m = float(np.mean(values))
-    if n == 1:
+    m = float(np.mean(values)) if n else None
+    if m is None or n == 1:
         return Measure(name, m, None, None, n, target, unit)
     half = Z90 * float(np.std(values, ddof=1)) / np.sqrt(n)
     return Measure(name, m, m - half, m + half, n, target, unit)

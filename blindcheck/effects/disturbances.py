@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import set_joint
+from invdyn.blindcheck.effects.effect import mechanism, set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, natural_hz
 from invdyn.blindcheck.simulator import World, set_part

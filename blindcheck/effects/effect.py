@@ -7,10 +7,12 @@ declaration.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from invdyn.blindcheck.scene import Scene
+from invdyn.blindcheck.simulator import World, set_part
 
 Size = Callable[[np.random.Generator, Scene, int, float], dict]
 """Draw of parameters: (generator, scene, place, strength) → name → value."""
@@ -52,8 +54,22 @@ def mechanism(*, units: Mapping[str, str], size: Size, site: str = "joint", need
     return tell
 
 
-def sensor_effect(
-    name: str, *, units: Mapping[str, str], size: Size, site: str = "arm", needs: tuple[str, ...] = ()
-) -> None:
-    """Declare an effect on what sensors show."""
-    EFFECTS[name] = Injected(name, site, units, size, None, needs)
+def sensor_effect(*, units: Mapping[str, str], site: str = "arm", needs: tuple[str, ...] = ()) -> Callable:
+    """Decorate the function that draws an effect on what sensors show; its name is `_` and the effect's."""
+
+    def tell(size: Size) -> Size:
+        name = size.__name__.removeprefix("_")  # type: ignore[attr-defined]
+        EFFECTS[name] = Injected(name, site, units, size, None, needs)
+        return size
+
+    return tell
+
+
+def set_joint(world: World, joint: int, **attributes: Any) -> None:
+    """Set attributes of the hinge that a joint's motor drives, as mjSpec calls them."""
+    world.on_spec(lambda spec: set_part(spec.joint(world.pieces[world.hinge(joint)].hinge), attributes))
+
+
+def set_motor(world: World, joint: int, **attributes: Any) -> None:
+    """Set attributes of a joint's motor, as mjSpec calls them."""
+    world.on_spec(lambda spec: set_part(spec.actuator(world.pieces[world.hinge(joint)].hinge), attributes))

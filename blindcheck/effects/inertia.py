@@ -9,8 +9,7 @@ gravity tilt     gravity rotated counter-clockwise in the plane, in space by a r
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import set_joint
+from invdyn.blindcheck.effects.effect import mechanism, set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import Scene, sign
 from invdyn.blindcheck.simulator import World

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import set_joint
+from invdyn.blindcheck.effects.effect import mechanism, set_joint
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, sign
 from invdyn.blindcheck.simulator import World, set_part

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.effects.effect import mechanism
-from invdyn.blindcheck.effects.parts import set_motor
+from invdyn.blindcheck.effects.effect import mechanism, set_motor
 from invdyn.blindcheck.motion import between
 from invdyn.blindcheck.pieces import Piece
 from invdyn.blindcheck.scene import Scene, natural_hz, sign

@@ -14,23 +14,18 @@ def _centre(rng: np.random.Generator, s: Scene) -> dict:
     return {f"centre_{axis}": rng.uniform(-0.4, 0.4) * s.reach for axis in "xy"}
 
 
+@sensor_effect(site="joint", units={"offset": "rad"}, needs=("clock", "encoders"))
 def _encoder_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     return {"offset": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 4.0))}
 
 
-sensor_effect(
-    "encoder_offset", site="joint", units={"offset": "rad"}, needs=("clock", "encoders"), size=_encoder_offset
-)
-
-
+@sensor_effect(site="keypoint", units={"along": "m", "across": "m"})
 def _keypoint_offset(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     angle, size = rng.uniform(0, 2 * np.pi), a * rng.uniform(0.03, 0.1) * s.body.links[k].nominal("length")
     return {"along": size * np.cos(angle), "across": size * np.sin(angle)}
 
 
-sensor_effect("keypoint_offset", site="keypoint", units={"along": "m", "across": "m"}, size=_keypoint_offset)
-
-
+@sensor_effect(site="keypoint", units={"kappa": "s²", "damping_ratio": "1"})
 def _soft_tissue(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     second = np.gradient(np.gradient(s.motion.points[:, k + 1], s.motion.time, axis=0), s.motion.time, axis=0)
     rms = np.sqrt((second**2).sum(-1).mean())
@@ -38,71 +33,43 @@ def _soft_tissue(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
     return {"kappa": kappa} | ({"damping_ratio": rng.uniform(0.1, 0.6)} if rng.random() < NONIDEAL_FRACTION else {})
 
 
-sensor_effect("soft_tissue", site="keypoint", units={"kappa": "s²", "damping_ratio": "1"}, size=_soft_tissue)
-
-
+@sensor_effect(units={"scale": "1"})
 def _camera_scale(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"scale": 1 + a * sign(rng) * rng.uniform(0.02, 0.08)}
 
 
-sensor_effect("camera_scale", units={"scale": "1"}, size=_camera_scale)
-
-
+@sensor_effect(units={"angle": "rad"}, needs=("gravity",))
 def _camera_roll(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"angle": a * sign(rng) * np.deg2rad(rng.uniform(1.0, 3.0))}
 
 
-sensor_effect("camera_roll", units={"angle": "rad"}, needs=("gravity",), size=_camera_roll)
-
-
+@sensor_effect(units={"angle": "rad", "distance": "m", "centre_x": "m", "centre_y": "m"})
 def _camera_yaw(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     view = {"angle": a * sign(rng) * np.deg2rad(rng.uniform(4, 12)), "distance": rng.uniform(2.0, 5.0) * s.reach}
     return view | _centre(rng, s)
 
 
-sensor_effect(
-    "camera_yaw",
-    units={"angle": "rad", "distance": "m", "centre_x": "m", "centre_y": "m"},
-    size=_camera_yaw,
-)
-
-
+@sensor_effect(units={"k1": "m⁻²", "centre_x": "m", "centre_y": "m"})
 def _lens_distortion(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"k1": a * sign(rng) * rng.uniform(0.02, 0.08) / s.reach**2} | _centre(rng, s)
 
 
-sensor_effect("lens_distortion", units={"k1": "m⁻²", "centre_x": "m", "centre_y": "m"}, size=_lens_distortion)
-
-
+@sensor_effect(units={"rate": "1"}, needs=("clock",))
 def _clock_rate(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"rate": np.exp(a * sign(rng) * rng.uniform(0.05, 0.22))}
 
 
-sensor_effect("clock_rate", units={"rate": "1"}, needs=("clock",), size=_clock_rate)
-
-
+@sensor_effect(units={"latency": "s"}, needs=("command", "clock"))
 def _camera_latency(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"latency": a * np.clip(rng.uniform(0.01, 0.06) / natural_hz(s), 0.005, 0.06)}
 
 
-sensor_effect(
-    "camera_latency",
-    units={"latency": "s"},
-    needs=(
-        "command",
-        "clock",
-    ),
-    size=_camera_latency,
-)
-
-
+@sensor_effect(units={"readout": "s/m"})
 def _rolling_shutter(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"readout": a * sign(rng) * np.clip(rng.uniform(0.01, 0.03) / natural_hz(s), 0.003, 0.03) / s.reach}
 
 
-sensor_effect("rolling_shutter", units={"readout": "s/m"}, size=_rolling_shutter)
-
-
+@sensor_effect(units={"rate": "1", "sd": "s"})
 def _timestamp_jitter(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {
         "rate": rng.uniform(0.3, 1.0),
@@ -110,9 +77,7 @@ def _timestamp_jitter(rng: np.random.Generator, s: Scene, place: int, a: float) 
     }
 
 
-sensor_effect("timestamp_jitter", units={"rate": "1", "sd": "s"}, size=_timestamp_jitter)
-
-
+@sensor_effect(units={"rate": "1", "scale": "m"})
 def _outliers(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {
         "rate": a * between(rng, 0.01, 0.1),
@@ -120,22 +85,15 @@ def _outliers(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     }
 
 
-sensor_effect("outliers", units={"rate": "1", "scale": "m"}, size=_outliers)
-
-
+@sensor_effect(site="keypoint", units={"rate": "1"}, needs=("two joints",))
 def _label_swap(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {"rate": a * between(rng, 0.01, 0.05)}
 
 
-sensor_effect("label_swap", site="keypoint", units={"rate": "1"}, needs=("two joints",), size=_label_swap)
-
-
+@sensor_effect(units={"slope": "s/m"})
 def _varying_noise(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
     return {
         "slope": a
         * rng.uniform(2.0, 6.0)
         / np.sqrt((np.gradient(s.motion.points[:, -1], s.motion.time, axis=0) ** 2).sum(-1).mean())
     }
-
-
-sensor_effect("varying_noise", units={"slope": "s/m"}, size=_varying_noise)

@@ -62,12 +62,6 @@ def load_friction(world: World, joint: int, coefficient: float, creep: float = 0
 
 
 @form()
-def quadratic_drag(world: World, joint: int, drag: float) -> None:
-    """−c φ̇ |φ̇|."""
-    world.torque(joint, lambda t, q, v: -drag * v * abs(v))
-
-
-@form()
 def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: float) -> None:
     """A spring with its equilibrium at an angle from hanging, or between the links."""
     rest = world.own(joint, rest_angle)
@@ -76,16 +70,13 @@ def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: floa
 
 @form()
 def joint_coupling(world: World, joint: int, stiffness: float, ratio: float, rest_angle: float) -> None:
-    """A tendon over this joint and the one before: a spring of length σᵢ φᵢ − r σⱼ φⱼ, with its rest."""
-    here, before = world.sign(joint), ratio * world.sign(joint - 1)
-    rest = rest_angle + here * world.own(joint, 0.0) - before * world.own(joint - 1, 0.0)
+    """A tendon over this joint and the one before: a spring of length θᵢ − r θⱼ, with its rest."""
 
-    def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-        tension = stiffness * (here * q[at[joint]] - before * q[at[joint - 1]] - rest)
-        tau[at[joint]] -= here * tension
-        tau[at[joint - 1]] += before * tension
+    def pull(q: np.ndarray) -> float:
+        return float(-stiffness * (q[joint] - ratio * q[joint - 1] - rest_angle))
 
-    world.force(act)
+    world.law(joint, lambda t, q, qd: pull(q))
+    world.law(joint - 1, lambda t, q, qd: -ratio * pull(q))
 
 
 def _limit(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
@@ -149,11 +140,3 @@ def drifting_friction(
         return max(damping + first + slope * t - rise * float(np.expm1(-t / time_constant)), 0.0)
 
     world.torque(joint, lambda t, q, v: -coefficient(t) * v)
-
-
-@form()
-def torque_ripple(world: World, joint: int, amplitude: float, periods: float, phase: float) -> None:
-    """A sin(N θ + phase) as the motor has it, whose angle is φ."""
-    sign = world.sign(joint)
-    moved = phase - periods * sign * world.own(joint, 0.0)
-    world.torque(joint, lambda t, q, v: sign * amplitude * np.sin(periods * sign * q + moved))

@@ -22,10 +22,8 @@ from invdyn.models import Body
 MAX_STEP = 2e-3  # s
 MAX_DRY_STEP = 5e-4  # s, where there is dry friction
 MAX_CHANGE_PER_STEP = 0.2  # radians or e-folds that a mechanism may change in a step
-MAX_FRICTION_SWEEPS, FRICTION_TOLERANCE = (
-    100,
-    1e-9,
-)  # over dry joints at most; until they change by less than such a share
+MAX_FRICTION_SWEEPS = 100  # over dry joints
+FRICTION_TOLERANCE = 1e-9  # share of the largest that frictions change by in the last sweep
 MAX_SWING_FRACTION = 0.05  # a step's share of the inverse angular frequency of the fastest swing
 
 Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray, list[int]], None]
