@@ -50,7 +50,7 @@ def kept_unit(
 
     def decorated(compute: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], T]:
         @wraps(compute)
-        def unit(problem: Any, *given: P.args, **options: P.kwargs) -> T:
+        def unit(problem: Any, /, *given: P.args, **options: P.kwargs) -> T:
             if problem.checkpoint is None:
                 return _laid_out(compute(problem, *given, **options))
             budget = problem.budget
