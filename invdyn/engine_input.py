@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from .inference_options import Inference
     from .recording_options import Recorded
 
+    Played = tuple[list[Recording], Recording | None, Scene, list[str]]
+    """Logs, the one that is held out, their simulation, and why MuJoCo plays it."""
+
 ENGINES = ("auto", "mujoco", "own")
 UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint", "forces")
 """Options that have no part in an inference by MuJoCo's engine."""
@@ -140,12 +143,8 @@ def _another(given: "Diagnosed", name: str) -> "Recording":
 
     from invdyn.recordings import load
 
-    given = replace(given, recordings=[name], frames=type(given).__dataclass_fields__["frames"].default)
+    given = replace(given, recordings=[name], frames=type(given).frames)
     return _recording(given, load(name, **_reading(given)), actuators=True)[0]
-
-
-Played = "tuple[list[Recording], Recording | None, Scene, list[str]]"
-"""Logs, the one that is held out, their simulation, and why MuJoCo plays it."""
 
 
 def engine_log_of(given: "Diagnosed", engine: str) -> "Played | None":

@@ -261,7 +261,8 @@ EFFECTS: tuple[FieldEffect, ...] = (
     ),
     FieldEffect(
         "contact_friction", contacts,
-        (Number("friction", own.read_friction, own.write_friction, "1", 0.5, lambda z, p: 0.1, 1e-4),),
+        (Number("friction", lambda m, p: own.pair_friction(m, p.pairs[0]), own.write_friction, "1", 0.5,
+                lambda z, p: 0.1, 1e-4),),
         "shapes that slide on one another more or less easily", "slips under several loads",
         "friction of the contact",
     ),

@@ -68,7 +68,8 @@ def entries(
         return own if own.ndim > 1 else own[:, None]  # damping and stiffness have columns in some versions
 
     def write(model: Any, place: Place, value: float) -> None:
-        values(model)[np.ix_(rows(model, place), columns)] = value
+        for row in rows(model, place):
+            values(model)[row, list(columns)] = value
 
     return lambda model, place: float(values(model)[rows(model, place)[0], columns[0]]), write
 
@@ -145,11 +146,6 @@ def pair_friction(model: Any, pair: Pair) -> float:
     above = int(model.geom_priority[one]) - int(model.geom_priority[other])
     own = model.geom_friction[list(pair), 0]
     return float(own.max() if above == 0 else own[0 if above > 0 else 1])
-
-
-def read_friction(model: Any, place: Place) -> float:
-    """The first pair's."""
-    return pair_friction(model, place.pairs[0])
 
 
 def write_friction(model: Any, place: Place, value: float) -> None:
