@@ -121,7 +121,7 @@ def _assembled(
 ) -> Diagnosis:
     scene, rules, best, none = log.model.scene, log.rules, found.best, found.none
     joints = log.model.inputs.names
-    shares = _closed(log, none, best, seed) if other is None else _closed_there(other, none, best, seed)
+    shares = _closed(log, none, best, seed, other)
     before, after = _residual(log, none), _residual(log, best)
     large = none.size(log) > rules.evidence.tolerance
     probability = 1 - found.alone[""]
@@ -224,34 +224,28 @@ def _experiment(found: Found) -> str | None:
     return f"Record {'; and '.join(wanted)}." if len(likely) > 1 else None
 
 
-def _closed(log: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
-    """Share of the gap that closes on the last third, with the numbers that the first two thirds tell."""
-    rows = log.observations.shape[0]
-    first = int(log.rules.outcome.fit_share * rows)
-    withheld = np.arange(rows) >= first
-    kappa = float(best.kappa[0])
-
-    def predicted(cause: Cause) -> Scores:
-        w, columns = cause.filtered.innovations[0], cause.columns[0]
-        if cause.effects:
-            A, b = columns[:first].reshape(-1, columns.shape[-1]), w[:first].ravel()
-            precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
-            right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
-            w = w + columns @ np.linalg.solve(precision, right)
-        return _scores(log, cause.filtered, w, kappa)
-
-    return closed(predicted(none), predicted(best), withheld, log.recording.time, seed, rules=log.rules)
-
-
-def _closed_there(other: EngineLog, none: Cause, best: Cause, seed: int) -> Closed:
-    """The same on another recording, with all that this one tells."""
+def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLog | None) -> Closed:
+    """Share of the gap that closes on another log; else on the last third, by what the first two thirds tell."""
+    there, count, kappa = other or log, len(log.observations), float(best.kappa[0])
+    first = int(log.rules.outcome.fit_share * count) if other is None else 0
+    rows = np.arange(len(there.observations)) >= first
+    values = _told_by(best, first, kappa) if first and best.effects else best.values
+    low, high = (np.array([getattr(n, end) for e in best.effects for n in e.effect.numbers]) for end in ("low", "high"))
+    before = none.filtered if other is None else filtered_with(there, (), none.values)
     try:
-        there = [filtered_with(other, cause.effects, cause.values) for cause in (none, best)]
-    except Diverged as error:
-        raise InputError(f"{other.recording.name}: {error}: it is not held-out data of the same robot") from error
-    before, after = (_scores(other, each, each.innovations[0], float(best.kappa[0])) for each in there)
-    rows = np.ones(len(other.observations), bool)
-    return closed(before, after, rows, other.recording.time, seed, rules=other.rules)
+        after = filtered_with(there, best.effects, np.clip(values, low, high)) if best.effects else before
+    except Diverged:
+        after = before  # with these numbers the simulation cannot follow, and closes nothing
+    scores = [_scores(there, each, each.innovations[0], kappa) for each in (before, after)]
+    return closed(*scores, rows, there.recording.time, seed, rules=log.rules)
+
+
+def _told_by(cause: Cause, first: int, kappa: float) -> np.ndarray:
+    """A cause's numbers (p,) by its first rows alone."""
+    A, b = cause.columns[0][:first].reshape(-1, len(cause.point)), cause.filtered.innovations[0][:first].ravel()
+    precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
+    right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
+    return np.asarray(cause.point + np.linalg.solve(precision, right))
 
 
 def _scores(log: EngineLog, filtered: Filtered, w: np.ndarray, kappa: float) -> Scores:
