@@ -38,7 +38,7 @@ class Columns:
         """A column (R,) at a joint where it is not zero."""
         return self.values[joint][int(np.flatnonzero(self.at[joint] == column)[0])]
 
-    def torque(self, columns: Sequence[int], coefficients: np.ndarray) -> np.ndarray:
+    def torque(self, columns: Sequence[int] | np.ndarray, coefficients: np.ndarray) -> np.ndarray:
         """X β (R, K) of some ``columns`` (p,)."""
         beta = np.zeros(self.number)
         beta[list(columns)] = coefficients
@@ -63,7 +63,7 @@ class Columns:
             found[:, at] += np.add.reduceat(X * y[:, k], starts, axis=1).T
         return found
 
-    def triangle(self, columns: Sequence[int], scale: np.ndarray | None = None) -> np.ndarray:
+    def triangle(self, columns: Sequence[int] | np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
         """R (≤ p, p) of a QR of some columns, of all joints one below the other; ``scale`` (R, K) multiplies rows."""
         place = np.full(self.number, -1)
         place[list(columns)] = np.arange(len(columns))
@@ -74,4 +74,4 @@ class Columns:
             own = np.linalg.qr(rows.T, mode="r")
             parts.append(np.zeros((len(own), len(columns))))
             parts[-1][:, place[at[mine]]] = own
-        return np.linalg.qr(np.concatenate(parts), mode="r")
+        return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))

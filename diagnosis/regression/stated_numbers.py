@@ -168,8 +168,8 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
             sd = np.hypot(sd, FIXED.servo_gain_sd * (1 + value if kind == GAIN else value))
         p = own.get((kind, place, name))
         key = (kind, place, name)
-        known = (value, float(sd)) if kind == GAIN else (fitted[key], sd_of[key])
-        probability = probability_of(*known, 1.0 if p is None else float(effects.size[p]), fit)
+        own_value, own_sd = (value, float(sd)) if kind == GAIN else (fitted[key], sd_of[key])
+        probability = probability_of(own_value, own_sd, 1.0 if p is None else float(effects.size[p]), fit)
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
         unit = "1" if p is None else effects.units[p]
         sd, interval = _estimate(value, float(np.hypot(sd, scale * more_of.get(key, 0.0))), fit.freedom)
