@@ -70,6 +70,7 @@ COMMANDS = {
     "excite": "excite.py --seeds 3",
     "board": "board.py",
     "check": "check.py --seed 46000 --results build/check.jsonl",
+    "robots": "robots.py --files build/robots --results build/robots.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
     "write_back": "write_back.py --results build/write_back.jsonl",
     "sysid": "sysid.py --results build/sysid.jsonl --ours build/write_back.jsonl",
