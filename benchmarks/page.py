@@ -69,6 +69,7 @@ COMMANDS = {
     "expected_gain": "expected_gain.py --only commanded",
     "excite": "excite.py --seeds 3",
     "board": "board.py",
+    "closing_calibration": "closing_calibration.py",
     "check": "check.py --seed 46000 --results build/check.jsonl",
     "robots": "robots.py --files build/robots --results build/robots.jsonl",
     "servo": "servo.py --results build/servo.jsonl",
