@@ -69,8 +69,8 @@ class Case:
         if self.other is not None:
             write_keypoint_csv(self.other, folder / "other.csv")
         self.body.to_toml(folder / "body.toml")
-        public = {"regime": self.regime, "held_out": "other.csv" if self.other else None, "without": self.without}
-        public |= {"robot": True} if self.robot else {}
+        public: dict[str, Any] = {"regime": self.regime, "held_out": "other.csv" if self.other else None}
+        public |= {"without": self.without} | ({"robot": True} if self.robot else {})
         write_text(folder / "case.json", json.dumps(public, indent=1) + "\n")
 
 

@@ -58,7 +58,7 @@ def sensor_effect(*, units: Mapping[str, str], site: str = "arm", needs: tuple[s
     """Decorate the function that draws an effect on what sensors show; its name is `_` and the effect's."""
 
     def tell(size: Size) -> Size:
-        name = size.__name__.removeprefix("_")  # type: ignore[attr-defined]
+        name = size.__name__.removeprefix("_")
         EFFECTS[name] = Injected(name, site, units, size, None, needs)
         return size
 
