@@ -225,7 +225,8 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         p = columns[b]
         name, place, unit = effects.names[p], effects.places[p], effects.units[p]
         size = float(np.linalg.norm(combination * effects.size[columns]))
-        probability = probability_of(value - nominal, sd, size, fit)
+        # a link's size is its number, and says nothing of the torque that is tolerated
+        probability = probability_of(value - nominal, sd, size, replace(fit, tolerance=0.0))
         sd, interval = _estimate(value, float(np.hypot(sd, more)), fit.freedom)
         found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability))
     return found
