@@ -12,7 +12,7 @@ import pandas as pd
 
 from invdyn.inference import Comparison, evidence_note, functional_table, learned_lengths, pooled
 from invdyn.inference.posterior.functionals import MIN_TIMES
-from invdyn.inference.study.work import MIN_OUTER_ESS
+from invdyn.inference.posterior.posterior import uneven
 
 from .plots import quantiles
 
@@ -74,20 +74,10 @@ def _too_few(idata: az.InferenceData) -> list[str]:
     ]
 
 
-def _uneven(idata: az.InferenceData) -> list[str]:
-    """A warning, with what to do, where few of the filters carry the weight; none of a method without filters."""
-    filters, outer = idata["sample_stats"].sizes["filter"], idata.attrs["outer_ess"]
-    if "ess" not in idata["sample_stats"] or outer >= min(MIN_OUTER_ESS, filters / 2):
-        return []
-    return [
-        f"warning: {outer:.2g} of {filters} filters carry the weight, so that another seed's bands would differ: raise "
-        "--particles, tenfold; if that does not help, the model does not fit: look at the predicted keypoints"
-    ]
-
-
 def doubts_of(idata: az.InferenceData) -> list[str]:
     """What may be wrong with a posterior, one line each; none where nothing is in doubt."""
-    return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *_uneven(idata)]
+    few = [f"warning: {each}" for each in (uneven(idata),) if each]
+    return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *few]
 
 
 def summary_text(idata: az.InferenceData) -> str:

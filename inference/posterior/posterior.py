@@ -267,6 +267,8 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
 DRAWN = ("posterior", "posterior_predictive", "log_likelihood")
 """Groups of draws."""
 
+MIN_OUTER_ESS = 32
+"""Filters, or half of them where there are fewer: of fewer that count, the bands of another run would differ."""
 LONG_CHAIN = 32
 """Draws with which a chain stands by itself: ArviZ's effective sample size of shorter ones is its upper limit."""
 
@@ -323,6 +325,25 @@ def evidence_note(idata: az.InferenceData) -> str:
     """Text "not usable: …" where the evidence does not stand, else empty."""
     attributes = idata["sample_stats"].attrs
     return "" if attributes.get("usable", 1) else f"not usable: {attributes.get('doubt', '')}"
+
+
+def uneven(idata: az.InferenceData) -> str:
+    """What to do where few of the filters, or of the bodies drawn, carry the weight; else empty.
+
+    By methods without filters all draws of one body weigh the same: unequal weights are those of bodies.
+    """
+    filters, outer = idata["sample_stats"].sizes["filter"], idata.attrs["outer_ess"]
+    if not outer < min(MIN_OUTER_ESS, filters / 2):
+        return ""
+    if "ess" in idata["sample_stats"]:
+        return (
+            f"{outer:.2g} of {filters} filters carry the weight, so that another seed's bands would differ: raise "
+            "--particles, tenfold; if that does not help, the model does not fit: look at the predicted keypoints"
+        )
+    return (
+        f"few of the bodies drawn carry the weight, {outer:.2g} of {filters} parts of it, so that bands may be far too "
+        "narrow: state the body's numbers with smaller doubts, as the recording knows them better than the file"
+    )
 
 
 def pooled(idata: az.InferenceData, group: str = "posterior") -> xr.Dataset:

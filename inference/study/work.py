@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import arviz as az
 import numpy as np
 import torch
 from torch import Tensor
@@ -31,7 +30,7 @@ from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.inference.posterior.posterior import evidence_note
+from invdyn.inference.posterior.posterior import evidence_note, uneven
 from invdyn.inference.posterior.problem import DRAWS
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.study.quantities import quantities, statistics
@@ -43,8 +42,6 @@ from invdyn.recordings.errors import first_line
 
 VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
 NOT_SETTLED = "the fit did not settle"
-MIN_OUTER_ESS = 32
-"""Filters, or half of them where there are fewer: of fewer that count, the bands of another run would differ."""
 Report = Callable[[int, int], None] | None
 
 
@@ -133,7 +130,7 @@ def infer_trial(
         tensors |= {"mean": torch.as_tensor(drawn["torque"].mean(0)), "spread": torch.as_tensor(drawn["torque"].std(0))}
         turns = idata["constant_data"].get("turns")
         return tensors | words(
-            notes=uneven(idata),
+            notes=[few] if (few := uneven(idata)) else [],
             quantities={name: unit for name, (_, unit) in found.items()},
             joints=[str(name) for name in posterior["joint"].values],
             turns=[True] * posterior.sizes["joint"] if turns is None else [bool(each) for each in turns.values],
@@ -141,14 +138,6 @@ def infer_trial(
         )
 
     return _guarded(work)
-
-
-def uneven(idata: az.InferenceData) -> list[str]:
-    """A note where few filters carry the weight: each has a body of its own, where that is uncertain."""
-    filters, outer = idata["sample_stats"].sizes["filter"], idata.attrs["outer_ess"]
-    if outer >= min(MIN_OUTER_ESS, filters / 2):
-        return []
-    return [f"{outer:.2g} of {filters} filters, or bodies, carry the weight: its intervals may be far too narrow"]
 
 
 def bound(trial: Trial, how: How) -> tuple[Problem, list[Any]]:

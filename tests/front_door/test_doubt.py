@@ -48,3 +48,14 @@ def test_few_filters_that_count_say_what_to_do(make_posterior):
     first = summary_text(idata).splitlines()[0]
     assert first.startswith("warning: 1.7 of 6 filters carry the weight")
     assert "raise --particles" in first
+
+
+def test_few_bodies_that_count_are_said_where_there_are_no_filters(make_posterior):
+    """As by the Gaussian smoother over bodies that are drawn, of which the recording bears out one."""
+    idata = make_posterior(num_filters=6)
+    idata["sample_stats"] = idata["sample_stats"].drop_vars("ess")
+    assert "carry the weight" not in summary_text(idata)
+    idata.attrs["outer_ess"] = 1.7
+    first = summary_text(idata).splitlines()[0]
+    assert first.startswith("warning: few of the bodies drawn carry the weight")
+    assert "smaller doubts" in first
