@@ -64,3 +64,15 @@ def play(text: str, seconds: float = 4.0, seed: int = 0, servo: bool = False, la
     if servo:
         given[:, 0] = 40.0 * (zero[0] - control[:, 0])
     return Recording(time, np.empty((rows, 0, 2)), (), angles=angles, torques=given, joint_names=("shoulder", "elbow"))
+
+
+class Older:
+    """A model of MuJoCo 3.3, which knows no delay of an actuator."""
+
+    def __init__(self, model):
+        self._model = model
+
+    def __getattr__(self, name):
+        if name == "actuator_delay":
+            raise AttributeError(name)
+        return getattr(self._model, name)

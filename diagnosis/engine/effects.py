@@ -28,8 +28,8 @@ ROUND = (2, 3, 5)
 SEVERAL = ", "
 """Between names of pairs."""
 CONNECT, OF_JOINTS, OF_TENDONS = 0, 2, 3
-OF_A_JOINT = 1
-"""What a fixed tendon is wrapped by."""
+OF_A_JOINT, INTEGRATOR = 1, 1
+"""What a fixed tendon is wrapped by; an activation that has no time constant."""
 Typical = Callable[[Sizes, Place], float]
 Places = Callable[[Any, Sequence[own.Pair]], Iterator[Place]]
 
@@ -154,7 +154,8 @@ def _moves(model: Any, joint: int) -> bool:
 
 
 def _lags(model: Any, actuator: int) -> bool:
-    return bool(model.actuator_actnum[actuator] == 1 and model.actuator_dynprm[actuator, 0] > 0)
+    timed = model.actuator_dyntype[actuator] != INTEGRATOR and model.actuator_dynprm[actuator, 0] > 0
+    return bool(timed and model.actuator_actnum[actuator] == 1)
 
 
 JOINTS = every("joint", "njnt", _moves)

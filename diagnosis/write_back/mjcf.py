@@ -128,6 +128,8 @@ class BodyNumbers:
         elif change.quantity == "motor limit":
             model.actuator_forcelimited[a] = True
             model.actuator_forcerange[a] = abs(change.after / gear) * np.array([-1.0, 1.0])
+        elif not hasattr(model, "actuator_delay"):
+            return f"MuJoCo {mujoco.__version__} has no delay of an actuator"
         else:
             model.actuator_delay[a] = change.after
         return None

@@ -96,15 +96,21 @@ def write_mass(model: Any, place: Place, value: float) -> None:
 
 
 def write_strength(model: Any, place: Place, value: float) -> None:
-    """A factor on an actuator's force: on the gear of a motor, unless its force is limited before it."""
+    """A factor on an actuator's force.
+
+    On the gear of a motor, whose gain depends on no speed. Else on gain and bias, as where the force is limited before
+    the gear, or where there is none, of adhesion.
+    """
     import mujoco
 
     a = place.number
+    geared = model.actuator_trntype[a] != int(mujoco.mjtTrn.mjTRN_BODY) and not model.actuator_forcelimited[a]
+    fixed = model.actuator_gaintype[a] == int(mujoco.mjtGain.mjGAIN_FIXED) and not model.actuator_biastype[a]
     if model.actuator_gaintype[a] == int(mujoco.mjtGain.mjGAIN_MUSCLE):
         # Entry 2 is the peak force; where it is negative, entry 3 scales it.
         for field in (model.actuator_gainprm, model.actuator_biasprm):
             field[a, 2 if field[a, 2] >= 0 else 3] *= value
-    elif not model.actuator_biastype[a] and not model.actuator_forcelimited[a]:
+    elif fixed and geared:
         model.actuator_gear[a] *= value
     else:
         model.actuator_gainprm[a, :3] *= value

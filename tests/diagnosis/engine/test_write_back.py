@@ -1,5 +1,6 @@
 """Numbers that are changed in a compiled model are those of a file with that number, for every effect."""
 
+import copy
 from pathlib import Path
 
 import linkages
@@ -7,12 +8,15 @@ import mujoco
 import muscled_arms
 import numpy as np
 import pytest
+from robot_xml import Older
 
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
 from invdyn.diagnosis.engine.effects import EFFECTS, candidates
 from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.engine.write_back import candidate_of, rewritten
-from invdyn.diagnosis.write_back.model_numbers import changed
+from invdyn.diagnosis.write_back.mjcf_writer import DAMPING, FROM_GEOMS, SERVO, Writer
+from invdyn.diagnosis.write_back.model_numbers import FRICTION, Place, changed, write_mass
+from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import Scene
 
 GROUND = """<mujoco><option timestep="0.002"/><compiler angle="radian"/><worldbody>
@@ -34,7 +38,16 @@ UNNAMED = """<mujoco><option timestep="0.002"/><compiler angle="radian"/>
   <geom type="plane" size="2 2 .1" friction=".7"/></worldbody></mujoco>"""
 """MuJoCo counts the floor first, and the leg's second joint and shape before the toe's."""
 PAIR = GROUND.replace("</worldbody>", '</worldbody><contact><pair geom1="floor" geom2="heel" friction=".5"/></contact>')
+GEOMS = """<mujoco><option timestep="0.002"/><compiler angle="radian" inertiafromgeom="true"/>
+<worldbody><body name="leg"><joint name="turn" axis="0 1 0" damping=".1"/><inertial pos="0 0 0" mass="9"/>
+    <geom name="shin" type="capsule" size=".02 .2" pos="0 0 -.2" density="700"/>
+    <geom name="cover" size=".05" mass="0"/></body></worldbody>
+<actuator><damper name="brake" joint="turn" kv="2" ctrlrange="0 1"/>
+  <adhesion name="stick" body="leg" gain="5" ctrlrange="0 1"/>
+  <intvelocity name="wheel" joint="turn" kp="3" kv=".2" actrange="-1 1"/></actuator></mujoco>"""
+"""All inertias are the shapes', and gears count for no adhesion."""
 MODELS = {
+    "geoms": (GEOMS, []),
     "unnamed": (UNNAMED, [(0, 1), (0, 2), (0, 3)]),
     "ground": (GROUND, [(0, 1), (0, 2)]),
     "holding": (linkages.HOLDING, [(0, 2), (1, 2)]),
@@ -52,11 +65,11 @@ def every(text, pairs):
 
 
 def pushed(model):
-    """What actuators do at half of their control."""
+    """What actuators do at half of their control, in motion: in sum, by joint and each by itself."""
     data = mujoco.MjData(model)
-    data.ctrl[:], data.act[:] = 0.5, 0.3
+    data.ctrl[:], data.act[:], data.qvel[:] = 0.5, 0.3, 0.1
     mujoco.mj_forward(model, data)
-    return data.qfrc_actuator
+    return np.concatenate([data.qfrc_actuator, data.actuator_force])
 
 
 def findings(model, candidate, step=0.2):
@@ -93,9 +106,10 @@ def test_what_is_written_is_what_was_changed(name):
                 differing += not np.array_equal(one, before)
         assert differing, candidate.key
         assert pushed(got) == pytest.approx(pushed(wanted), rel=1e-4), candidate.key
-    assert len(written) >= {"unnamed": 9, "ground": 12, "holding": 13, "pair": 12, "rubbing": 10, "muscles": 6}[name], (
-        sorted(written)
-    )
+    assert (
+        len(written)
+        >= {"geoms": 6, "unnamed": 9, "ground": 12, "holding": 13, "pair": 12, "rubbing": 10, "muscles": 6}[name]
+    ), sorted(written)
 
 
 def test_what_a_pair_of_the_file_has_is_not_that_of_its_shapes():
@@ -129,6 +143,59 @@ def test_a_limited_motors_gain_is_said_and_not_written():
     new, done, unsaid = rewritten(text.encode(), scene, Cause((finding,), 1.0, 0.0, 0.0))
     assert (new, done) == (text.encode(), [])
     assert "limited before the gear" in next(iter(unsaid.values()))
+
+
+@pytest.mark.parametrize("name", ["brake", "stick", "wheel"])
+def test_a_gain_is_a_factor_on_the_force_that_depends_on_speed_or_on_no_gear(name):
+    scene, found = every(GEOMS, [])
+    (candidate,) = (each for each in found if each.key == f"actuator_gain.{name}")
+    (number,) = candidate.effect.numbers
+    model, (before, after) = scene.model, (candidate.place.number, candidate.place.number + 1)
+    stronger = changed(model, [(number.write, candidate.place, 1.5)])
+    one, other = (pushed(each)[model.nv :][before:after] for each in (model, stronger))
+    assert other == pytest.approx(1.5 * one, rel=1e-12)
+    assert np.array_equal(stronger.actuator_gear, model.actuator_gear)
+    assert one != 0
+
+
+def test_what_a_version_of_mujoco_lacks_is_not_written():
+    model = mujoco.MjModel.from_xml_string(GROUND)
+    after = changed(model, [(FRICTION[1], Place("joint", "turn", 1), 0.05)])
+    text = XmlText(GROUND.encode())
+    assert Writer(text, Older(model)).write(Older(model), Older(after), "why") is None
+    assert 'frictionloss="0.05"' in text.changed().decode()
+
+
+@pytest.mark.parametrize(
+    ("own", "columns", "why"),
+    [
+        ('<general joint="turn" gainprm="20" biastype="affine" biasprm="0 -20 -1"/>', [2], DAMPING),
+        ('<general joint="turn" gainprm="20" biastype="affine" biasprm="0 -20 -1"/>', [1, 2], SERVO),
+        ('<velocity joint="turn" kv="20"/>', [2], DAMPING),
+        ('<position joint="turn" kp="20" dampratio="1"/>', [2], DAMPING),
+        ('<position joint="turn" class="damped" kp="20"/>', [1, 2], SERVO),
+    ],
+)
+def test_a_damping_that_has_no_word_is_told_from_a_gain(own, columns, why):
+    damped = '<default><default class="damped"><position dampratio="1"/></default></default><worldbody>'
+    content = GROUND.replace("<worldbody>", damped).replace("</actuator>", f"{own}</actuator>")
+    model = mujoco.MjModel.from_xml_string(content)
+    after = copy.copy(model)
+    after.actuator_biasprm[-1, columns] *= 0.5
+    text = XmlText(content.encode())
+    assert Writer(text, model).write(model, after, "") == why
+    assert text.changed() == content.encode()
+
+
+def test_a_mass_that_shapes_share_is_said_and_not_written():
+    for text in (GEOMS.replace('mass="0"', 'mass=".1"'), GEOMS):
+        model = mujoco.MjModel.from_xml_string(text)
+        after = changed(model, [(write_mass, Place("link", "leg", 1), 0.4)])
+        if text is GEOMS:  # heavier, and elsewhere
+            after.body_ipos[1, 0] += 0.01
+        found = XmlText(text.encode())
+        assert Writer(found, model).write(model, after, "") == FROM_GEOMS
+        assert found.changed() == text.encode()
 
 
 def test_what_stands_in_a_frame_is_said_and_not_written():

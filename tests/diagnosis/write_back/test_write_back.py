@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from in_space import ARM
 from reported import diagnosis
-from robot_xml import play, robot
+from robot_xml import Older, play, robot
 
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding, Learned
 from invdyn.diagnosis.write_back import mjcf, mjcf_writer, toml, urdf
@@ -185,6 +185,12 @@ def test_motors_and_links(file):
     assert new.body_ipos[fore] == pytest.approx([0, 0, -0.13])
     # about the hinge, which is y: .005 + .001, the others in proportion
     assert sorted(new.body_inertia[fore]) == pytest.approx(sorted(np.array([0.005, 0.005, 0.0002]) * 1.2))
+
+
+def test_a_delay_that_this_version_of_mujoco_lacks_is_said(file):
+    model, body = Older(mujoco.MjModel.from_xml_path(str(file))), Body.load(file)
+    late = correction(cause(finding("actuator_delay", {"joint": "elbow"}, delay=0.014)), body)
+    assert "has no delay" in mjcf.BodyNumbers(model, body).put(model, late.changes)
 
 
 def test_a_servos_gain_is_its_kp(file):
