@@ -151,7 +151,10 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
 
 
 def regression_words(regression: Regression) -> str:
-    """Effects and places of a regression: "viscous friction at all joints and perhaps a spring at the elbow (40 %)"."""
+    """Effects and places of a regression: "viscous friction at all joints and perhaps a spring at the elbow (60 %)".
+
+    Numbers that are less probable than not are in the report's table alone.
+    """
     sure, perhaps = [], []
     for stated in regression.stated:
         words, of = effect_words(stated.effect), "link" if stated.effect == "inertial_error" else "joint"
@@ -161,11 +164,13 @@ def regression_words(regression: Regression) -> str:
             sure.append(f"{words} all {of}s")
         elif stated.sure:
             sure.append(f"{words} {named([place_words(of, place) for place in stated.sure])}")
-        if rest:
-            places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in rest]
+        probable = [place for place in rest if stated.probability[place] >= 0.5]
+        if probable:
+            places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in probable]
             perhaps.append(f"{words} {named(places)}")
     parts = [named(sure)] * bool(sure) + [f"perhaps {named(perhaps)}"] * bool(perhaps)
-    return " and ".join(parts) or "no effect"
+    without = "numbers that the parts of the log do not agree on" if regression.stated else "no effect"
+    return " and ".join(parts) or without
 
 
 def interim(regression: Regression) -> str:
@@ -176,7 +181,9 @@ def interim(regression: Regression) -> str:
     low, high = torque.interval_90
     share = f"{percent(max(torque.share, 0.0))} of the missing torque ({percent(low)} to {percent(high)})"
     words = regression_words(regression)
-    return f"By regression alone: {words} {'explain' if ' and ' in words else 'explains'} {share}."
+    return (
+        f"By regression alone: {words} {'explain' if ' and ' in words or 'numbers' in words else 'explains'} {share}."
+    )
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:

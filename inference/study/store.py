@@ -87,9 +87,9 @@ def save_study(study: Any, folder: Path, nwb: bool = False) -> list[Path]:
             moments[index] = name, (part["time"].numpy(), middle, low, high, known["joints"], shifting)
             write_moments(place("sto", f"{name}.sto"), *moments[index][1])
         for name, members in _sessions(study).items() if nwb else ():
-            own = {moments[i][0]: (moments[i][1], study.trials[i].recording) for i in members}
+            torques = {moments[i][0]: moments[i][1] for i in members}
+            recordings = {moments[i][0]: study.trials[i].recording for i in members}
             (folder / "nwb").mkdir(exist_ok=True)
-            torques, recordings = ({each: both[k] for each, both in own.items()} for k in (0, 1))
             write_nwb(place("nwb", f"{name}.nwb"), torques, recordings)
         write_text(folder / FILES, "".join(f"{file.relative_to(folder).as_posix()}\n" for file in files))
     return [*files, folder / FILES]

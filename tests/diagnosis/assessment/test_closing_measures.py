@@ -100,3 +100,7 @@ def test_the_regression_in_words(regression):
     one = replace(regression, stated=tuple(replace(s, places=("elbow",), everywhere=False) for s in regression.stated))
     assert "viscous friction at the elbow" in regression_words(one)
     assert "no effect" in interim(replace(regression, stated=()))
+    friction = one.stated[0]
+    doubted = [replace(one, stated=(replace(friction, probability={"elbow": p}),)) for p in (0.7, 0.3)]
+    assert regression_words(doubted[0]) == "perhaps Coulomb friction at the elbow (70\xa0%)"
+    assert "numbers that the parts of the log do not agree on explain" in interim(doubted[1])
