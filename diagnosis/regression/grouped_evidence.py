@@ -121,6 +121,12 @@ class Choice:
             statements[kind] = replace(own, columns={**own.columns, place: self.kinds[kind][place]})
         return self._fitted(tuple(statements.values())) if places else best
 
+    def without_least(self, columns: Sequence[int]) -> "Choice":
+        """The same, but that coefficients of some ``columns`` may be anything."""
+        least = self.least.copy()
+        least[list(columns)] = -np.inf
+        return replace(self, least=least)
+
     def with_gains(self, best: Chosen) -> Chosen:
         """The set with what each of its statements gains."""
         without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]

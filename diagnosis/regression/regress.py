@@ -174,7 +174,7 @@ def regress(
         there,
         drawn(whole, fit, gains),
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
-        tuple(of_others(whole, fit)),
+        tuple(of_others(whole, fit, gains)),
     )
 
 

@@ -6,7 +6,8 @@ has ε = 1/(1 + g) − 1; all other numbers of its joint are β/(1 + g). With γ
     1 + ε = 1/(γ (1 + g))
 
 Where the motion of a joint does not tell g, all that is known in its servo's torque is as unsure as the gain, and by
-the same factor: log-normal, with sd `servo_gain_sd`. Links move by base parameters, sums of numbers of several links.
+the same factor: log-normal, with sd `servo_gain_sd`. No such factor makes a number that is there nothing. Links move by
+base parameters, sums of numbers of several links.
 
 The probability that a number is another than the file's, by more than is tolerated, weighs the two at even odds. With
 b how far its estimate is beyond that, s its sd and F − 1 degrees of freedom (:mod:`.weighted_fit`), and the prior
@@ -24,10 +25,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
-from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LinearEffects, joints_of
+from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LEAST, LinearEffects, joints_of
 from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
 from invdyn.diagnosis.regression.servo_gains import ServoGains
 from invdyn.diagnosis.regression.weighted_fit import Fitted, left_by
@@ -61,7 +63,7 @@ class Estimated:
 class Stated:
     """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it.
 
-    `probability` is by place; of links, that any of their numbers is another.
+    `probability` is by place; of a link, that any of its numbers is another, or of all links', where none is its own.
     """
 
     effect: str
@@ -87,16 +89,19 @@ def stated(
         before, after = (np.sqrt((each**2).mean(0)) for each in (effects.of_file, left_by(effects, fit.chosen)))
         gain += len(effects.missing) / memory * float(np.log(before / after)[servos.changed].sum())
         found = {GAIN: (tuple(every), gain), **found}
-    of_links = max((each.probability for each in numbers if each.effect == INERTIAL), default=1.0)
-    # of an effect with several numbers the first one makes it what it is
+    # of an effect with several numbers the first one makes it what it is, and any of them a link
     first = {(each.effect, each.place): each.probability for each in reversed(numbers)}
+    links = sorted((each.probability, each.place) for each in numbers if each.effect == INERTIAL)
+    any_link = links[-1][0] if links else 1.0
+    first |= {(INERTIAL, place): probability for probability, place in links}
     return tuple(
         Stated(
             kind,
             places,
             len(places) == _places(effects, kind),
             gain,
-            {place: of_links if kind == INERTIAL else first[kind, place] for place in places},
+            # numbers of links without a base parameter are in those of others
+            {place: first.get((kind, place), any_link) for place in places},
         )
         for kind, (places, gain) in found.items()
     )
@@ -106,7 +111,7 @@ def named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> Numbers
     """Numbers by effect, place and parameter; a gain is the motor's."""
     names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
     found = dict(zip(names, chosen.values.tolist(), strict=True))
-    factors = {place: 1 + value for (kind, place, _), value in found.items() if kind == GAIN}
+    factors = {place: 1 + max(value, LEAST[GAIN]) for (kind, place, _), value in found.items() if kind == GAIN}
     for key, p in zip(names, chosen.columns, strict=True):
         if key[0] not in (INERTIAL, GAIN):
             found[key] = max(found[key] / factors.get(key[1], 1.0), float(effects.least[p]))
@@ -154,39 +159,48 @@ def _scaled(numbers: Numbers, place: str, factor: float) -> Numbers:
 def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
     """Numbers of effects at joints."""
     values, unsure = named(effects, fit.chosen, servos), _without_scale(effects, fit.chosen, servos)
-    sds, more = (np.sqrt(np.maximum(np.diag(each), 0.0)).tolist() for each in (fit.covariance, fit.discrepancy))
-    own = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
-    sd_of, more_of = (dict(zip(own, each, strict=True)) for each in (sds, more))
-    fitted = dict(zip(own, fit.chosen.values.tolist(), strict=True))
+    sds, more = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (fit.covariance, fit.discrepancy))
+    fitted = {
+        (effects.kinds[p], effects.places[p], effects.names[p]): each
+        for p, *each in zip(fit.chosen.columns, fit.chosen.values.tolist(), sds.tolist(), more.tolist(), strict=True)
+    }
+    column = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
     found = []
     for (kind, place, name), value in values.items():
         if kind == INERTIAL:
             continue
-        scale = (1 + value if kind == GAIN else 1.0) / (1 + fitted.get((GAIN, place, "gain"), 0.0))
-        sd = scale * sd_of.get((kind, place, name), 0.0)
-        if place in unsure:
-            sd = np.hypot(sd, FIXED.servo_gain_sd * (1 + value if kind == GAIN else value))
-        p = own.get((kind, place, name))
-        key = (kind, place, name)
-        own_value, own_sd = (value, float(sd)) if kind == GAIN else (fitted[key], sd_of[key])
-        probability = probability_of(own_value, own_sd, 1.0 if p is None else float(effects.size[p]), fit)
+        p = column.get((kind, place, name))
+        gain = fitted.get((GAIN, place, "gain"), (0.0,))[0]
+        scale = (1 + value if kind == GAIN else 1.0) / (1 + max(gain, LEAST[GAIN]))
+        sd, wider = (scale * each for each in fitted.get((kind, place, name), (0.0,) * 3)[1:])
+        unit, size = ("1", 1.0) if p is None else (effects.units[p], float(effects.size[p]))
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
-        unit = "1" if p is None else effects.units[p]
-        sd, interval = _estimate(value, float(np.hypot(sd, scale * more_of.get(key, 0.0))), fit.freedom)
+        probability = probability_of(value, sd, size if kind == GAIN else scale * size, fit)
+        sd, interval = _estimate(value, float(np.hypot(sd, wider)), fit.freedom)
+        if place in unsure and kind == GAIN:
+            low, high = _times_unknown(1 + value, 0.0, fit.freedom)
+            probability = probability_of(float(np.log1p(value)), FIXED.servo_gain_sd, size, fit)
+            sd, interval = FIXED.servo_gain_sd * (1 + value), (low - 1, high - 1)
+        elif place in unsure:
+            interval = _times_unknown(value, sd, fit.freedom)
+            sd = float(np.hypot(sd, FIXED.servo_gain_sd * value))
         found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, probability=probability))
     return found
 
 
-def of_others(effects: LinearEffects, fit: Fitted) -> list[Estimated]:
+def of_others(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
     """Numbers of effects at joints that were not chosen, each as it would be by itself besides."""
-    found = []
-    for p, (value, sd) in fit.others.items():
-        probability = probability_of(value, sd, float(effects.size[p]), fit)
-        what = (effects.kinds[p], effects.places[p], effects.names[p])
-        found.append(
-            Estimated(*what, value, *_estimate(value, sd, fit.freedom), effects.units[p], 0.0, {}, probability)
-        )
-    return found
+    every = ((key, of_joints(effects, each, servos)) for key, each in fit.others.items())
+    return [each for key, numbers in every for each in numbers if (each.effect, each.place) == key]
+
+
+def _times_unknown(value: float, sd: float, freedom: int) -> tuple[float, float]:
+    """90 % interval of a number, of t's distribution, times a factor that is log-normal, as in :func:`_scaled`."""
+    share = (np.arange(FIXED.regression_draws) + 0.5) / FIXED.regression_draws
+    own = value + sd * student_t.ppf(share, freedom)[:, None]
+    factor = np.exp(FIXED.servo_gain_sd * norm.ppf(share))
+    low, high = np.quantile(own * np.where(own > 0, factor, np.minimum(factor, 1.0)), (0.05, 0.95))
+    return float(low), float(high)
 
 
 def probability_of(value: float, sd: float, size: float, fit: Fitted) -> float:

@@ -25,7 +25,7 @@ Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -43,7 +43,7 @@ class Fitted:
 
     `discrepancy` (p, p) is what torques that are tolerated add to the covariance: to what a number may be, and not to
     whether it is there.
-    `others` are columns of effects at places that were not chosen: value and sd with each of these added by itself.
+    `others` are fits with one effect more, by that effect and its place, whatever least value it has.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
     """
 
@@ -52,8 +52,8 @@ class Fitted:
     freedom: int
     weights: np.ndarray
     discrepancy: np.ndarray
-    others: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     tolerance: float = 0.0
+    others: Mapping[tuple[str, str], "Fitted"] = field(default_factory=dict)
 
 
 def weighted_fit(
@@ -98,16 +98,18 @@ def weighted_fit(
     tau = correlation_times(left, motion.stretch)
     gram = effects.columns.sums(effects.missing, weights)[0]
     of = partial(_covariance, effects, choice, gram, weights, motion.stretch, tau)
+
+    def fitted(each: Chosen) -> Fitted:
+        covariance, discrepancy = of(each)
+        return Fitted(each, covariance, len(moments.folds) - 1, weights, discrepancy, rules.evidence.tolerance)
+
     added = {}
     for kind, places in kinds.items() if others else ():
-        for own in places.values():
-            also = choice.including(chosen, own)
+        for place, own in places.items():
+            also = choice.without_least(own).including(chosen, own)
             if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
-                place, sd = also.columns.index(own[0]), np.sqrt(np.diag(of(also)[0]))
-                added[own[0]] = (float(also.values[place]), float(sd[place]))
-    (covariance, discrepancy), freedom = of(chosen), len(moments.folds) - 1
-    gained, tolerance = choice.with_gains(chosen), rules.evidence.tolerance
-    return Fitted(gained, covariance, freedom, weights, discrepancy, added, tolerance)
+                added[kind, place] = fitted(also)
+    return replace(fitted(choice.with_gains(chosen)), others=added)
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:

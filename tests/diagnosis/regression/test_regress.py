@@ -15,7 +15,7 @@ from invdyn.diagnosis.regression.measured_motion import held_mean, measured_moti
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
-from invdyn.diagnosis.regression.stated_numbers import drawn, of_joints
+from invdyn.diagnosis.regression.stated_numbers import drawn, of_joints, of_links, of_others, stated
 from invdyn.diagnosis.regression.weighted_fit import weighted_fit
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Link, planar_body
@@ -260,6 +260,70 @@ def test_numbers_beside_a_gain_are_the_robots_own():
         assert own["viscous_friction", joint, "damping"].value == pytest.approx(0.3, abs=0.03)
 
 
+def fitted_plainly(rows, body, kinds, others=False, tolerance=DEFAULT.evidence.tolerance):
+    """Columns, and a fit of ``kinds`` at all places."""
+    motion, dynamics = measured_motion(rows, body), dynamics_for(body)
+    along = expected(dynamics, body, motion, False)
+    rules = DEFAULT.replace(tolerance=tolerance)
+    effects = linear_effects(body, motion, along, False, rules, cutoff_of(motion))
+    return effects, weighted_fit(effects, motion, rules, kinds, others=others)
+
+
+def by_name(numbers):
+    return {(each.effect, each.place, each.parameter): each for each in numbers}
+
+
+FOUR = ("viscous_friction", "coulomb_friction", "joint_stiffness", "actuator_gain")
+SAME = ServoGains(np.ones(2))
+
+
+@pytest.fixture(scope="module")
+def weak():
+    """Motors that give .8 times what they are told, and a file's friction and springs, of which some are other."""
+    rows = recorded(40, lambda m: of_parts(m) + 0.3 * m.qd - 1.0 * m.q, seconds=6.0)
+    rows = replace(rows, torques=rows.torques / 0.8)
+    return rows, by_name(of_joints(*fitted_plainly(rows, FILED, FOUR), SAME))
+
+
+@pytest.mark.parametrize("left_out", FOUR[1:])
+def test_an_effect_that_is_not_stated_has_the_numbers_that_it_would_have(weak, left_out):
+    """In the robot's units, with the file's own number and all parameters; rows have weights from a fit without it."""
+    rows, whole = weak
+    fit = fitted_plainly(rows, FILED, tuple(kind for kind in FOUR if kind != left_out), others=True)
+    others = by_name(of_others(*fit, SAME))
+    assert {key for key in whole if key[0] == left_out} == {key for key in others if key[0] == left_out}
+    for key in (key for key in whole if key[0] == left_out):
+        own, stated_ones = others[key], whole[key]
+        assert own.value == pytest.approx(stated_ones.value, abs=0.5 * stated_ones.sd)
+        assert 1 / 1.6 < np.subtract(*own.interval_90) / np.subtract(*stated_ones.interval_90) < 1.6
+        assert (own.unit, own.of_file) == (stated_ones.unit, stated_ones.of_file)
+
+
+def test_a_links_probability_is_that_of_its_own_numbers():
+    """The largest of several; and of all links', where its numbers are known with those of others alone."""
+    effects, fit = fitted_plainly(recorded(3, friction, seconds=3.0), BODY, ("inertial_error",))
+    numbers = of_links(effects, fit, BODY)
+    upper = [replace(each, probability=0.9) for each in numbers if each.place == "upper"]
+    fore = [replace(each, probability=n / 10) for n, each in enumerate(numbers) if each.place == "fore"]
+    assert upper
+    assert len(fore) > 1
+    (each,) = stated(effects, fit, SAME, 1.0, (*upper, *fore))
+    assert each.probability == {"upper": 0.9, "fore": max(e.probability for e in fore)}
+    (each,) = stated(effects, fit, SAME, 1.0, upper)
+    assert each.probability["fore"] == 0.9
+
+
+def test_an_estimate_that_no_robot_can_have_is_its_least_value():
+    """Rotors take no torque away: both are in the list, and one that would is none."""
+    rows = recorded(2, lambda m: m.qdd * np.array([-0.02, 0.0]), seconds=6.0)
+    effects, fit = fitted_plainly(rows, BODY, FOUR[:2], others=True)
+    own = by_name(of_others(effects, fit, SAME))
+    each = own["armature", "shoulder", "inertia"]
+    assert each.value == 0.0
+    assert each.probability < 0.5
+    assert ("armature", "elbow", "inertia") in own
+
+
 def test_a_files_spring_may_be_too_stiff():
     result = regress(recorded(41, lambda m: of_parts(m) - 1.0 * m.q), FILED)
     own = found(result)
@@ -407,6 +471,11 @@ def test_numbers_in_the_torque_of_a_servo_of_unknown_gain_are_as_unsure_as_that(
     gain = numbers["actuator_gain", "elbow"]
     assert 1 + gain.value == pytest.approx(1 / 40)
     assert gain.sd == pytest.approx(1 + gain.value)
+    dry = numbers["coulomb_friction", "elbow"]
+    assert dry.probability > 0.99
+    wide = np.exp(1.645 * np.array([-1.0, 1.0]))
+    assert np.divide(dry.interval_90, dry.value) == pytest.approx(wide, rel=0.1)
+    assert np.array(gain.interval_90) + 1 == pytest.approx(wide / 40, rel=0.1)
     draws = drawn(effects, fit, far)
     log = np.log([1 + each["actuator_gain", "elbow", "gain"] for each in draws]) + np.log(40.0)
     assert log.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(log)))
