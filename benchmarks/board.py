@@ -34,7 +34,7 @@ import torch
 from sensor_cases import FRICTION, GEAR, ROTOR
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assessment.closing_measures import Closing, measured_regression
+from invdyn.diagnosis.assessment.closing_measures import Closing, measured
 from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.report.sentences import regression_words, verdict
 from invdyn.diagnosis.rules import DEFAULT
@@ -162,7 +162,7 @@ def row(name: str, made: Callable[[], tuple[Given, Published]], budget: float | 
     half = "tuning" if name in TUNING else "other"
     if regression is None:
         return [name, half, *["–"] * 8]
-    closing: Closing | None = measured_regression(regression, body, passive)
+    closing: Closing | None = measured(regression, body, passive)
     answer, ours, seconds = regression_words(regression), "", f"{spent:.1f}"
     if budget is not None:
         start = time.process_time()

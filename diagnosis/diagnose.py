@@ -257,7 +257,7 @@ def diagnose(
     rows = "the last third of the rows" if other is None else "another recording"
     rows += ", in which the best cause leaves something" if left else ""
     complete = weighed.causes[best.key][1] > 0.5
-    closing = None if said is None else measured(said, there.cause, complete, body, passive, rules)
+    closing = None if said is None else measured(said, body, passive, there.cause, complete)
     result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
     result = replace(result, regression=said, closing=closing)
     if robot and said is not None and closing is not None and closing.shown == REGRESSION:

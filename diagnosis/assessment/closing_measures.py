@@ -4,7 +4,7 @@
     replay   the same of the angles' error over .5 and 2 s of replays from smoothed starts
 
 On rows that neither answer was fitted to. Both are measured along one motion, through one low-pass filter
-(:mod:`..regression.as_model`). Intervals come from a bootstrap of blocks of rows, and of neighbouring replays.
+(:mod:`..regression.as_model`). Intervals are of one more motion like these (:mod:`..regression.torque_closing`).
 
 An answer of the search that misses more torque than the regression's, or replays worse, by more than
 `max_behind_plain` and `min_plain_gain` say, is not shown as the answer: the regression's is. An answer that leaves
@@ -14,7 +14,6 @@ torque along a motion tells: they count as absent.
 Shapes: R rows, K joints, H horizons, W replays. Units: N·m, rad, s.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -30,8 +29,8 @@ from invdyn.diagnosis.regression.as_model import (
     with_coefficients,
 )
 from invdyn.diagnosis.regression.regress import Regression, Unseen
-from invdyn.diagnosis.regression.torque_closing import TorqueClosing, bootstrapped, closing
-from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
+from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing, share_closed
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.divergence import Diverged, diverging
 from invdyn.models.effects.base import PREFIX
@@ -75,42 +74,31 @@ class Closing:
         }
 
 
-def measured_regression(
-    regression: Regression, body: ArticulatedBody, passive: bool, rules: Rules = DEFAULT
-) -> Closing | None:
-    """The regression's answer alone; None where it has no rows that it has not seen."""
-    if (there := regression.unseen) is None:
-        return None
-    nominal = model_on(there.motion, body, passive)
-    models = {"nominal": nominal, REGRESSION: with_coefficients(nominal, there.coefficients)}
-    return Closing(regression.joints, {REGRESSION: regression.torque}, _replayed(models, there, rules), REGRESSION)
-
-
 def measured(
     regression: Regression,
-    cause: FittedHypothesis,
-    complete: bool,
     body: ArticulatedBody,
     passive: bool,
-    rules: Rules,
+    cause: FittedHypothesis | None = None,
+    complete: bool = False,
 ) -> Closing | None:
-    """Both answers on the rows that the regression has not seen; ``cause`` as other rows know it.
+    """The regression's answer, and a search's, on rows that the regression has not seen; None where it has none.
 
-    ``complete`` says that it leaves nothing. None where the regression has no such rows.
+    ``cause`` is the search's as other rows know it; ``complete`` says that it leaves nothing.
     """
     there = regression.unseen
     if there is None:
         return None
     nominal = model_on(there.motion, body, passive)
-    models = {REGRESSION: with_coefficients(nominal, there.coefficients), SEARCH: _of_cause(nominal, cause)}
-    after = torque_missed(models[SEARCH], there.motion, there.cutoff)
-    torque = {REGRESSION: regression.torque, SEARCH: closing(there.missing, after, there.memory, rules)}
-    replay = _replayed({"nominal": nominal} | models, there, rules)
-    behind = (
-        not complete
-        and bool(regression.stated)
-        and _behind(float(np.linalg.norm(regression.torque.before)), torque, replay)
-    )
+    models = {"nominal": nominal, REGRESSION: with_coefficients(nominal, there.coefficients)}
+    torque = {REGRESSION: regression.torque}
+    if cause is not None:
+        models[SEARCH] = _of_cause(nominal, cause)
+        first = _of_cause(model_on(there.fitted, body, passive), cause)
+        own = torque_missed(first, there.fitted, there.cutoff)
+        after = torque_missed(models[SEARCH], there.motion, there.cutoff)
+        torque[SEARCH] = closing(there.missing, after, (there.fitted_missing, own))
+    replay = _replayed(models, there)
+    behind = cause is None or (not complete and bool(regression.stated) and _behind(torque, replay))
     return Closing(regression.joints, torque, replay, REGRESSION if behind else SEARCH)
 
 
@@ -125,11 +113,9 @@ def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
     return nominal.with_effects(*told).replace(**own, **filed, **mine)
 
 
-def _behind(before: float, torque: Mapping[str, TorqueClosing], replay: tuple[ReplayClosing, ...]) -> bool:
-    """Whether the search closes less than the regression on any measure, by more than is stated.
-
-    ``before`` is the size of the torque that is missing without either, N·m.
-    """
+def _behind(torque: Mapping[str, TorqueClosing], replay: tuple[ReplayClosing, ...]) -> bool:
+    """Whether the search closes less than the regression on any measure, by more than is stated."""
+    before = float(np.linalg.norm(torque[REGRESSION].before))
     left = {who: float(np.linalg.norm(each.after)) for who, each in torque.items()}
     sizes = [(before, left), *((each.rms["nominal"], each.rms) for each in replay)]
     return any(
@@ -138,7 +124,7 @@ def _behind(before: float, torque: Mapping[str, TorqueClosing], replay: tuple[Re
     )
 
 
-def _replayed(models: Mapping[str, ArmModel], there: Unseen, rules: Rules) -> tuple[ReplayClosing, ...]:
+def _replayed(models: Mapping[str, ArmModel], there: Unseen) -> tuple[ReplayClosing, ...]:
     starts = windows(there.motion)
     if not len(starts):
         return ()
@@ -151,19 +137,8 @@ def _replayed(models: Mapping[str, ArmModel], there: Unseen, rules: Rules) -> tu
             errors[who] = np.full((len(FIXED.replay_horizons), len(starts)), np.pi)
     found = []
     for n, horizon in enumerate(FIXED.replay_horizons):
-        square = {who: each[n] ** 2 for who, each in errors.items()}
-        rms = {who: float(np.sqrt(each.mean())) for who, each in square.items()}
-        shares = {who: _share(square["nominal"], each, rules) for who, each in square.items() if who != "nominal"}
+        own = {who: each[n] for who, each in errors.items()}
+        rms = {who: float(np.sqrt((each**2).mean())) for who, each in own.items()}
+        shares = {who: share_closed(own["nominal"], each) for who, each in own.items() if who != "nominal"}
         found.append(ReplayClosing(horizon, rms, shares))
     return tuple(found)
-
-
-def _share(before: np.ndarray, after: np.ndarray, rules: Rules) -> tuple[float, float, float]:
-    """Share of the rms that is closed, of squares (W,), bootstrapped in blocks of four replays at most."""
-    count = len(before)
-    share = 1 - float(np.sqrt(after.mean() / max(before.mean(), 1e-300)))
-    if count < 2:
-        return share, math.nan, math.nan
-    old, new = bootstrapped([np.maximum(each, 1e-300) for each in (before, after)], max(1, min(4, count // 2)), rules)
-    low, high = np.quantile(1 - np.sqrt(new / old), [0.05, 0.95]).tolist()
-    return share, low, high

@@ -32,7 +32,6 @@ from invdyn.diagnosis.hypotheses.swap import without
 from invdyn.diagnosis.prediction.predict import Scores, scores
 from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.regression.torque_closing import bootstrapped
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.divergence import Diverged, diverging
@@ -184,7 +183,9 @@ def closed(
     count = len(gain)
     longest = rules.outcome.bootstrap_block / np.median(np.diff(time[use])) if count > 1 else 1
     length = max(1, min(round(longest), count // 2))
-    total, gained = bootstrapped([gap, gain], length, rules, seed)
+    starts = np.random.default_rng(seed).integers(count, size=(rules.outcome.num_bootstraps, -(-count // length)))
+    circle = np.array([np.concatenate([[0.0], each, each[:length]]) for each in (gap, gain)]).cumsum(1)
+    total, gained = (circle[:, starts + length] - circle[:, starts]).sum(-1)
     shares = gained[total > 0] / total[total > 0]
     low, high = np.quantile(np.minimum(shares, 1.0), [0.05, 0.95]) if len(shares) else (np.nan, np.nan)
     return Closed(float(min(gain.sum() / gap.sum(), 1.0)), (float(low), float(high)), per_frame)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from invdyn.diagnosis.assessment.assemble import nothing_to_say
-from invdyn.diagnosis.assessment.closing_measures import measured_regression
+from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import NO_SEARCH, Diagnosis, Gap, Shrinkage
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -22,7 +22,7 @@ def by_regression_alone(
 ) -> Diagnosis | None:
     """The diagnosis that a regression with far gains gives; None where it closes no torque on rows it has not seen."""
     body, rules = problem.model.body, problem.rules
-    closing = measured_regression(regression, body, passive, rules)
+    closing = measured(regression, body, passive)
     torque = regression.torque
     if closing is None or torque.interval_90[0] <= 0:
         return None

@@ -55,14 +55,18 @@ PLAIN: tuple[tuple[str, ...] | None, ...] = (None, FRICTION, (*FRICTION, INERTIA
 
 @dataclass(frozen=True)
 class Unseen:
-    """Rows that a fit to the others is measured on: the motion, that fit's coefficients, what it leaves, filter, Hz."""
+    """Rows that a fit to the others is measured on: the motion, that fit's coefficients, what it leaves, filter, Hz.
+
+    ``fitted`` is the motion of the others, and ``fitted_missing`` what the file misses there.
+    """
 
     motion: MeasuredMotion
     coefficients: Mapping[tuple[str, str, str], float]
     missing: np.ndarray
     left: np.ndarray
     cutoff: float
-    memory: float
+    fitted: MeasuredMotion
+    fitted_missing: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -156,10 +160,11 @@ def regress(
         if not worse.any():
             break
         gains = ServoGains(np.where(worse, 1.0, gains.factor))
-    memory = float(correlation_times(left_by(known, fits[best].chosen), first.stretch).max())
-    torque = closing(unseen.of_file, left[best], memory, rules)
-    plain = closing(unseen.of_file, left[PLAIN.index(FRICTION)], memory, rules)
-    there = Unseen(last, named(known, fits[best].chosen, gains), unseen.of_file, left[best], known.cutoff, memory)
+    own = [left_by(known, each.chosen) for each in fits]
+    memory = float(correlation_times(own[best], first.stretch).max())
+    torque, plain = (closing(unseen.of_file, left[n], (known.of_file, own[n])) for n in (best, PLAIN.index(FRICTION)))
+    coefficients = named(known, fits[best].chosen, gains)
+    there = Unseen(last, coefficients, unseen.of_file, left[best], known.cutoff, first, known.of_file)
     whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor)
     fit = weighted_fit(whole, motion, rules, PLAIN[best], before, others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, measured, measured_regression
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, measured
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.sentences import interim, regression_words
-from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "regression"))
@@ -46,7 +45,7 @@ def test_the_model_misses_the_torque_that_the_regression_leaves(regression):
 
 @pytest.mark.long
 def test_a_replay_closes_with_friction(regression):
-    closing = measured_regression(regression, BODY, False)
+    closing = measured(regression, BODY, False)
     half, two = closing.replay
     assert (half.horizon, two.horizon) == (0.5, 2.0)
     for each in (half, two):
@@ -59,10 +58,10 @@ def test_a_replay_closes_with_friction(regression):
 @pytest.mark.long
 def test_a_search_that_is_behind_is_not_shown_but_one_that_leaves_nothing_is(regression):
     one = cause(regression, EFFECTS["viscous_friction"]("elbow"), **{"viscous_friction.elbow.damping": 0.1})
-    behind = measured(regression, one, False, BODY, False, DEFAULT)
+    behind = measured(regression, BODY, False, one, False)
     assert behind.shown == REGRESSION
     assert behind.torque[SEARCH].share < behind.torque[REGRESSION].share - 0.3
-    assert measured(regression, one, True, BODY, False, DEFAULT).shown == SEARCH
+    assert measured(regression, BODY, False, one, True).shown == SEARCH
 
 
 @pytest.mark.long
@@ -71,7 +70,7 @@ def test_a_search_that_is_not_behind_is_shown(regression):
     effects = [EFFECTS[kind](joint) for kind in kinds for joint in BODY.joint_names]
     true = {"viscous_friction": (0.3, 0.1), "coulomb_friction": (0.5, 0.25)}
     values = {f"{e.key}.{kinds[e.name]}": true[e.name][BODY.joint_names.index(e.where[0])] for e in effects}
-    closing = measured(regression, cause(regression, *effects, **values), False, BODY, False, DEFAULT)
+    closing = measured(regression, BODY, False, cause(regression, *effects, **values), False)
     assert closing.shown == SEARCH
     assert closing.to_json()["torque"][SEARCH]["closed"] > 0.9
 
@@ -79,14 +78,14 @@ def test_a_search_that_is_not_behind_is_shown(regression):
 @pytest.mark.long
 def test_what_a_torque_does_not_tell_counts_as_absent(regression):
     seen = cause(regression, EFFECTS["encoder_offset"]("elbow"), **{"encoder_offset.elbow.offset": 0.1})
-    closing = measured(regression, seen, False, BODY, False, DEFAULT)
+    closing = measured(regression, BODY, False, seen, False)
     assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
 
 
 @pytest.mark.long
 def test_one_replay_has_no_interval():
     found = regress(recorded(0, friction, seconds=6.5), BODY)
-    closing = measured_regression(found, BODY, False)
+    closing = measured(found, BODY, False)
     assert len(closing.replay) in (0, 2)
     for each in closing.replay:
         assert math.isnan(each.closed[REGRESSION][1])
