@@ -24,7 +24,7 @@ def by_regression_alone(
     body, rules = problem.model.body, problem.rules
     closing = measured(regression, body, passive)
     torque = regression.torque
-    if closing is None or torque.interval_90[0] <= 0:
+    if closing is None or torque.share <= 0:
         return None
     names, nan = regression.joints, float("nan")
     before, after = (dict(zip(names, each.tolist(), strict=True)) for each in (torque.before, torque.after))

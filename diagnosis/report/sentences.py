@@ -14,6 +14,7 @@ from invdyn.diagnosis.assessment.result import (
     named,
 )
 from invdyn.diagnosis.regression.regress import Regression
+from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
 from invdyn.diagnosis.report.words import (
@@ -121,21 +122,14 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
     closing, regression = diagnosis.closing, diagnosis.regression
     if closing is None or regression is None:
         return None
-    by_regression = closing.shown == REGRESSION
-    cause = at_work(diagnosis)
-    if (
-        closing.shown not in closing.torque
-        or not (by_regression or answer in ("outside", "unclear"))
-        or not (by_regression or cause)
-    ):
-        return None
+    by_regression, cause = closing.shown == REGRESSION, at_work(diagnosis)
     torque = closing.torque[closing.shown]
-    low, high = torque.interval_90
-    if low <= 0:
+    searched = cause and answer in ("outside", "unclear") and torque.interval_90[0] > 0
+    if torque.share <= 0 or not (by_regression or searched):
         return None
     what = regression_words(regression) if by_regression else cause_words(cause) if cause else ""
     text = f"There is a gap{_place(diagnosis)}: {what} {'explain' if ' and ' in what else 'explains'} "
-    text += f"{percent(torque.share)} of the missing torque ({percent(low)} to {percent(high)})"
+    text += _of_torque(torque)
     if closing.replay:
         longest = closing.replay[-1]
         share = longest.closed[closing.shown][0]
@@ -178,12 +172,14 @@ def interim(regression: Regression) -> str:
     torque = regression.torque
     if not regression.stated:
         return "By regression alone no effect explains the torque better than the simulation does."
-    low, high = torque.interval_90
-    share = f"{percent(max(torque.share, 0.0))} of the missing torque ({percent(low)} to {percent(high)})"
     words = regression_words(regression)
-    return (
-        f"By regression alone: {words} {'explain' if ' and ' in words or 'numbers' in words else 'explains'} {share}."
-    )
+    verb = "explain" if " and " in words or "numbers" in words else "explains"
+    return f"By regression alone: {words} {verb} {_of_torque(torque)}."
+
+
+def _of_torque(torque: TorqueClosing) -> str:
+    low, high = (percent(end) if end > 0 else "none" for end in torque.interval_90)
+    return f"{percent(max(torque.share, 0.0))} of the missing torque ({low} to {high} of another motion's)"
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:

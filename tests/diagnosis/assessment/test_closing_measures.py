@@ -96,6 +96,9 @@ def test_the_regression_in_words(regression):
     assert "viscous friction at all joints" in words
     assert "Coulomb friction at all joints" in words
     assert interim(regression).startswith("By regression alone: ")
+    assert "none" not in interim(regression)
+    unsure = replace(regression, torque=replace(regression.torque, interval_90=(-0.2, 0.6)))
+    assert "(none to 60\u00a0% of another motion's)" in interim(unsure)
     one = replace(regression, stated=tuple(replace(s, places=("elbow",), everywhere=False) for s in regression.stated))
     assert "viscous friction at the elbow" in regression_words(one)
     assert "no effect" in interim(replace(regression, stated=()))
