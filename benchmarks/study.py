@@ -46,6 +46,8 @@ SIZE, SIZE_DIFFERS, TRIAL_DIFFERS = np.array([1.0, 0.15]), 0.15, 0.1
 """N·m of shoulder and elbow, and relative sd between subjects and trials."""
 SCALE, DECAY, NOISE = np.array([0.5, 0.08]), 5.0, 0.004
 """Of the Ornstein–Uhlenbeck torques, N·m/√s and 1/s, and of keypoints, m."""
+PRECISE = 0.1, 0.05
+"""Sd of trials and of the errors of their estimates, N·m, where pooling is asked for effects larger than both."""
 LIFT = 0.6
 """s, how long the lifting torque acts."""
 BODY = load_body("paper_planar_arm")
@@ -225,14 +227,19 @@ def inside(cells, truth):
 
 def pooling(count):
     """Intervals where trials' errors are as stated: what is left to err is the pooling."""
-    print("\n| subjects, sessions, trials a cell | effect's sd between subjects | 90 % holds it | found | width, N·m |")
-    print("|---|---|---|---|---|")
-    own, error = np.hypot(SIZE[0] * TRIAL_DIFFERS, SCALE[0] / np.sqrt(2 * DECAY)), 0.12
-    for subjects, sessions, trials, effect, differs in (
-        (3, 1, 3, EFFECT, 0.08),
-        (3, 1, 3, EFFECT, DIFFERS),
-        (3, 1, 3, EFFECT, EFFECT),
-        (3, 1, 3, 0.0, 0.0),
+    columns = "90 % holds it | found | width, N·m"
+    print(f"\n| trials | subjects, sessions, trials a cell | effect's sd between subjects | {columns} |")
+    print("|---|---|---|---|---|---|")
+    noisy = np.hypot(SIZE[0] * TRIAL_DIFFERS, SCALE[0] / np.sqrt(2 * DECAY)), 0.12
+    for kind, (own, error), subjects, sessions, trials, effect, differs in (
+        ("noisy", noisy, 3, 1, 3, EFFECT, 0.08),
+        ("noisy", noisy, 3, 1, 3, EFFECT, DIFFERS),
+        ("noisy", noisy, 3, 1, 3, EFFECT, EFFECT),
+        ("noisy", noisy, 3, 1, 3, 0.0, 0.0),
+        ("precise", PRECISE, 2, 1, 2, 0.0, EFFECT),
+        ("precise", PRECISE, 3, 1, 2, 0.0, EFFECT),
+        ("precise", PRECISE, 4, 1, 4, 0.0, EFFECT),
+        ("precise", PRECISE, 3, 1, 2, 1.0, EFFECT),
     ):
         rng, held, found, width = np.random.default_rng(0), [], [], []
         cells = np.array([(a, b, c) for a in range(subjects) for b in range(sessions) for c in (0, 1)]).repeat(
@@ -248,7 +255,7 @@ def pooling(count):
             found.append(mixture.direction >= FOUND)
             width.append(high - low)
         numbers = f"{np.mean(held):.3f} | {np.mean(found):.3f} | {np.mean(width):.2f}"
-        print(f"| {subjects}, {sessions}, {trials}, effect {effect} | {differs} | {numbers} |")
+        print(f"| {kind} | {subjects}, {sessions}, {trials}, effect {effect} | {differs} | {numbers} |")
 
 
 def kill(times):

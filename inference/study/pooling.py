@@ -11,8 +11,13 @@ Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–53
     session                  sd of y about its subject's mean
     of trials, τ_0           twice that, as the sd of few trials is often much too small (measured: of four trials, 90 %
                              intervals of a difference then hold .93, else .80)
-    subject, session × condition    sd of y about subject and condition, over √2: an effect, which is the difference of
-                             two of these, then differs between subjects about as much as trials of one cell do
+    subject, session × condition    the larger of
+                             sd of y about subject and condition, over √2: an effect, which is the difference of two of
+                             these, then differs between subjects about as much as trials of one cell do
+                             upper 75 % limit, by χ², of the sd of the cells' means about subject and condition: two
+                             or three subjects tell this sd so roughly that it is often much too small
+
+No sum of squares counts as less than the errors alone would leave, so that equal estimates have scales too.
 
 Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
 Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is needed of μ is
@@ -36,6 +41,8 @@ MIN_SPREAD = 1e-4
 """Of the scale: below it an sd counts as none."""
 OF_TRIALS = 2.0
 """Of the scale: prior scale of the spread between trials."""
+LIMIT = 0.25
+"""Probability of a χ² below which the upper limit of an sd takes its sum of squares to be."""
 MIN_TRIALS = 2
 
 
@@ -133,16 +140,14 @@ def pool(
         raise ValueError(f"expected {MIN_TRIALS} trials or more with finite estimates, got {y} with errors {s}")
     middle = float(y.mean())
     levels, own = np.unique(np.asarray(condition, str), return_inverse=True)
-    of_subject, of_condition = (np.eye(z.max() + 1)[z] for z in (_numbered(list(zip(subject, strict=True))), own))
-    scale = _left(y, of_subject)[0] or float(y.std()) or float(s.mean()) or 1.0
-    left, free = _left(y, np.concatenate([of_subject, of_condition], axis=1))
-    cell = min(left * np.sqrt(len(y) / free) / scale, 1.0) if free else 1.0
-    priors = {"subject": max(float(y.std()) / scale, 1.0), "session": 1.0}
-    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
     groups = groupings(condition, subject, session)
-    design = np.concatenate([of_condition, *(np.eye(z.max() + 1)[z] for z in groups.values())], axis=1)
+    whose = {"subject": _numbered(list(zip(subject, strict=True)))}
+    whose["session"] = _numbered(list(zip(subject, session, strict=True)))
+    scale, *others = _prior_scales(y, s, own, whose, groups)
+    log_scale = np.log([OF_TRIALS * scale, *others]) - np.log(scale)
+    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
+    design = _indicators(own, *groups.values())
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
-    log_scale = np.log([OF_TRIALS, *(priors.get(name, cell / np.sqrt(2)) for name in groups)])
     log_tau = _prior_points(log_scale, sets)
     log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
     for _ in range(ROUNDS):
@@ -194,11 +199,40 @@ def _numbered(labels: list[tuple]) -> np.ndarray:
     return np.array([numbers.setdefault(label, len(numbers)) for label in labels])
 
 
-def _left(y: np.ndarray, design: np.ndarray) -> tuple[float, int]:
-    """Rms of what a design (n, q) leaves of y by least squares, and its degrees of freedom."""
+def _prior_scales(
+    y: np.ndarray, s: np.ndarray, own: np.ndarray, whose: dict[str, np.ndarray], groups: dict[str, np.ndarray]
+) -> list[float]:
+    """Sd of y about its subject's mean, and the prior scale of each of the groups, in the unit of y."""
+    spread = float(y.std())
+    s = np.maximum(s, 1e-9 * (np.abs(y).max() or 1.0))  # what is left of equal estimates by rounding is nothing
+    squares, free = _left(y, s**2, whose["subject"])
+    scale = float(np.sqrt(squares / len(y))) if free else max(spread, float(s.mean()))
+    s = np.maximum(s, MIN_SPREAD * scale)
+    squares, free = _left(y, s**2, whose["subject"], own)
+    of_effect = float(np.sqrt(squares / free / 2)) if free else scale / np.sqrt(2)
+    scales = [scale]
+    for name, cells in groups.items():
+        if name in whose:
+            scales.append(max(spread, scale) if name == "subject" else scale)
+            continue
+        _, first, count = np.unique(cells, return_index=True, return_counts=True)
+        means, variance = np.bincount(cells, y) / count, np.bincount(cells, s**2) / count**2
+        squares, free = _left(means, variance, whose[name.removesuffix(" × condition")][first], own[first])
+        scales.append(max(of_effect, float(np.sqrt(squares / chi2.ppf(LIMIT, free)))) if free else of_effect)
+    return scales
+
+
+def _indicators(*groups: np.ndarray) -> np.ndarray:
+    """Columns (n, q), one for each group of each grouping (n,): 1 for its trials."""
+    return np.concatenate([np.eye(z.max() + 1)[z] for z in groups], axis=1)
+
+
+def _left(y: np.ndarray, variance: np.ndarray, *groups: np.ndarray) -> tuple[float, int]:
+    """Sum of squares that the groupings leave of y, no less than errors alone would; its degrees of freedom."""
+    design = _indicators(*groups)
     fit, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
-    off = y - design @ fit
-    return float(np.sqrt(np.mean(off**2))), len(y) - int(rank)
+    free = len(y) - int(rank)
+    return max(float(((y - design @ fit) ** 2).sum()), free * float(variance.mean())), free
 
 
 def _given(

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from invdyn.inference.study.pooling import Mixture, Pooled, _given, confounded, groupings, pool
+from invdyn.inference.study.pooling import Mixture, Pooled, _given, _prior_scales, confounded, groupings, pool
 
 SUBJECT = np.repeat(["a", "b", "c"], 4)
 CONDITION = np.tile(["x", "x", "y", "y"], 3)
@@ -47,16 +47,14 @@ def test_given_the_spreads_it_is_the_dense_gaussian():
 
 
 def test_the_spreads_are_integrated_out_as_on_a_grid():
-    """Three spreads on 24³ points of their priors, half-normal with the sds as the file says."""
+    """Three spreads on 24³ points of their priors, half-normal; whether their sds are right, coverage tells."""
     subjects, conditions = (np.unique(each, return_inverse=True)[1] for each in (SUBJECT, CONDITION))
-    additive = np.concatenate([np.eye(3)[subjects], np.eye(2)[conditions]], axis=1)
-    off = ESTIMATES - additive @ np.linalg.pinv(additive) @ ESTIMATES
-    cell = np.sqrt(off @ off / (12 - 4) / 2)
-    within = (ESTIMATES - np.repeat(ESTIMATES.reshape(3, 4).mean(1), 4)).std()
+    whose, by_name = {"subject": subjects, "session": subjects}, groupings(CONDITION, SUBJECT, ONE)
+    within, between, cell = _prior_scales(ESTIMATES, ERRORS, conditions, whose, by_name)
     groups = list(groupings(CONDITION, SUBJECT, ONE).values())
     x, _ = design(groups)
     points = halfnorm.ppf((np.arange(24) + 0.5) / 24)
-    grid = np.array(np.meshgrid(2 * within * points, ESTIMATES.std() * points, cell * points)).reshape(3, -1).T
+    grid = np.array(np.meshgrid(2 * within * points, between * points, cell * points)).reshape(3, -1).T
     parts = [dense(tau, ESTIMATES, ERRORS, x, groups) for tau in grid]
     logs = np.array([each[0] for each in parts])
     weights = np.exp(logs - logsumexp(logs))
@@ -80,11 +78,47 @@ def test_few_trials_of_one_subject_have_intervals_that_hold_the_truth(count):
     rng, labels = np.random.default_rng(1), ("xyxy"[:count], "a" * count, "1" * count)
     held, found = [], []
     for _ in range(300):
-        own = pool(rng.normal(size=count), np.full(count, 0.05), *map(list, labels), 256).difference("x", "y")
-        held.append(own.quantile(0.05) < 0.0 < own.quantile(0.95))
+        own = pool(rng.normal(size=count), np.full(count, 0.05), *map(list, labels), 64).difference("x", "y")
+        held.append(0.05 < own.below(0.0) < 0.95)
         found.append(own.direction >= 0.975)
     assert np.mean(held) > 0.88
     assert np.mean(found) < 0.06
+
+
+@pytest.mark.parametrize("value", [0.52, 0.0, 1 / 3])
+def test_equal_estimates_have_no_difference_and_the_width_of_their_errors(value):
+    labels = "xxyyxxyy", "aaaabbbb", "1" * 8
+    own = pool(np.full(8, value), np.full(8, 0.02), *map(list, labels), 256).difference("x", "y")
+    assert own.mean == pytest.approx(0.0, abs=1e-9)
+    assert 0.02 / np.sqrt(2) < own.sd < 0.08
+
+
+def test_exactly_additive_estimates_are_as_unsure_as_their_errors():
+    """Least squares leave 1e-17 there, and the errors say that it is chance."""
+    y = np.array([1.0, 1.0, 2.0, 2.0, 1.5, 1.5, 2.5, 2.5])
+    labels = "xxxxyyyy", "aabbaabb", "1" * 8
+    own = pool(y, np.full(8, 0.02), *map(list, labels), 256).difference("x", "y")
+    assert own.mean == pytest.approx(0.5, abs=1e-3)
+    assert own.quantile(0.95) - own.quantile(0.05) > 0.1
+
+
+@pytest.mark.parametrize(("subjects", "trials"), [(2, 2), (3, 2), (4, 4)])
+def test_precise_trials_of_few_subjects_have_intervals_that_hold_the_effect(subjects, trials):
+    """Effects N(0, .3²) by subject, trials' sd .1 and s = .05; 150 studies, so that a share of .9 is known to .025."""
+    rng, held, found = np.random.default_rng(1000 + 10 * subjects + trials), [], []
+    subject, condition = (
+        np.repeat(np.arange(subjects), 2 * trials),
+        np.tile(np.repeat([0, 1], trials), subjects),
+    )
+    for _ in range(150):
+        level, effect = rng.normal(size=subjects), 0.3 * rng.normal(size=subjects)
+        y = level[subject] + condition * effect[subject] + rng.normal(0, np.hypot(0.1, 0.05), len(subject))
+        labels = condition.astype(str), subject.astype(str), ["1"] * len(y)
+        own = pool(y, np.full(len(y), 0.05), *labels, 64).difference("0", "1")
+        held.append(0.05 <= own.below(0.0) <= 0.95)
+        found.append(own.direction >= 0.975)
+    assert np.mean(held) >= 0.86
+    assert np.mean(found) <= 0.08
 
 
 def test_trials_known_exactly_and_alike_leave_the_plain_difference():
