@@ -26,8 +26,14 @@ from torch import Tensor
 
 from invdyn.diagnosis.excite.limits import MotionLimits
 from invdyn.diagnosis.excite.trajectory import Path
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, link_names
-from invdyn.diagnosis.regression.regressors import filed_torques, link_torques, nominal_link_numbers, unit_numbers
+from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS
+from invdyn.diagnosis.regression.regressors import (
+    filed_torques,
+    link_names,
+    link_torques,
+    nominal_link_numbers,
+    unit_numbers,
+)
 from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.models import Body
 from invdyn.models.dynamics.registry import dynamics_for

@@ -12,12 +12,9 @@ A gain multiplies what was commanded, whose noise would bias it. Its column is w
 Servos' gains are near to what :mod:`.servo_gains` says; their own damping counts as the joint's. Rows at which such a
 servo reaches its limits do not count. Gains and masses have a factor in common, which no torque tells: where gains are
 far from the file's, the links are the file's.
+What is missing and all columns pass one filter (:mod:`.low_pass`).
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
-
-An encoder's noise, and the roughness of its scale, enter q̈ as the square of frequency. What is missing and all columns
-pass the same low-pass filter, without delay (parallel filtering: Gautier, Janot & Vandanjon 2013); it is a few times as
-wide as the motion's velocity.
 
 Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
 """
@@ -27,16 +24,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 from scipy.special import erf
 
 from invdyn.diagnosis.regression.columns import Columns
+from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.regression.regressors import (
-    base_columns,
+    all_but_the_largest,
     filed_torques,
     inverse,
-    link_axes,
+    link_names,
     link_regressors,
     nominal_link_numbers,
     unit_numbers,
@@ -207,7 +204,7 @@ def linear_effects(
     floors = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in numbers]
     size[links] = np.maximum(np.abs(own_numbers), FIXED.min_link_share * np.concatenate([*floors, np.zeros(0)]))
     if passive and len(links):
-        free[links] = _but_the_largest(along.columns.triangle(links), own_numbers)
+        free[links] = all_but_the_largest(along.columns.triangle(links), own_numbers)
     if (factors != 1.0).any():
         free[links] = False
     names += [(INERTIAL, link, name, of) for name, of in link_names(body, numbers) for link in body.link_names]
@@ -252,45 +249,3 @@ def limited(body: Any, torque: np.ndarray) -> np.ndarray:
     servos = [None if parts is None else parts.servo for parts in every]
     limits = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]
     return np.asarray(torque.clip(*np.transpose(limits)))
-
-
-def _but_the_largest(rows: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Which of links' columns, of ``rows`` (N, P), are a base, but for the one whose nominal torque is largest."""
-    base, rest, factors = base_columns(rows)
-    free = np.zeros(rows.shape[1], dtype=bool)
-    free[base] = True
-    if base.size:
-        torque = np.abs(own[base] + factors @ own[rest]) * np.linalg.norm(rows[:, base], axis=0)
-        free[base[int(torque.argmax())]] = False
-    return free
-
-
-def cutoff_of(motion: MeasuredMotion) -> float:
-    """Hz up to which a motion tells of torques: a few times the frequency under which its velocity has most power."""
-    longest = motion.stretch == np.bincount(motion.stretch).argmax()
-    step = float(np.median(np.diff(motion.time)))
-    window = np.hanning(longest.sum())[:, None]
-    power = np.abs(np.fft.rfft(motion.qd[longest] * window, axis=0)) ** 2
-    moving = power[:, power.sum(0) > 0]  # a joint at rest there has no frequency
-    share = moving.cumsum(0) / moving.sum(0)
-    frequency = np.fft.rfftfreq(int(longest.sum()), step)
-    moves = [frequency[np.searchsorted(column, FIXED.velocity_power)] for column in share.T]
-    return float(min(max(FIXED.cutoff_factor * max(moves, default=0.0), FIXED.min_cutoff), 0.4 / step))
-
-
-def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
-    """Values (…, R, K) of a motion's rows through a Butterworth filter of order 4, forwards and backwards."""
-    edges = np.flatnonzero(np.diff(motion.stretch)) + 1
-    found = []
-    for time, each in zip(np.split(motion.time, edges), np.split(values, edges, axis=-2), strict=True):
-        rate = 1 / float(np.median(np.diff(time)))  # recordings may have rates of their own
-        sections = butter(4, min(cutoff, 0.45 * rate), fs=rate, output="sos")
-        found.append(sosfiltfilt(sections, each, axis=-2, padlen=min(27, len(time) - 1)))
-    return np.concatenate(found, -2)
-
-
-def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
-    """Names and units of a link's columns, in the order of :func:`.regressors.link_regressors`."""
-    words = (("mass", "kg"), ("first moment", "kg·m"), ("second moment", "kg·m²"))
-    found = zip(words, link_axes(body), strict=True)
-    return [(f"{word} {axis}".strip(), unit) for (word, unit), every in found for axis in every] if own else []

@@ -12,7 +12,7 @@ that is the answer. A servo's gain that was found first is dropped where it leav
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -24,12 +24,13 @@ from invdyn.diagnosis.regression.linear_effects import (
     FRICTION,
     GAIN,
     INERTIAL,
+    Expected,
     LinearEffects,
-    cutoff_of,
     expected,
     joints_of,
     linear_effects,
 )
+from invdyn.diagnosis.regression.low_pass import cutoff_of
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
 from invdyn.diagnosis.regression.stated_numbers import (
@@ -43,7 +44,7 @@ from invdyn.diagnosis.regression.stated_numbers import (
     stated,
 )
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing
-from invdyn.diagnosis.regression.weighted_fit import correlation_times, left_by, weighted_fit
+from invdyn.diagnosis.regression.weighted_fit import Fitted, correlation_times, left_by, weighted_fit
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -132,41 +133,23 @@ def regress(
     along = expected(dynamics, body, motion, passive)
     if other is None:
         count = int(rules.outcome.fit_share * len(motion.time))
-        first, last = (motion.at(rows) for rows in (slice(count), slice(count, None)))
-        seen, rest = (along.at(rows) for rows in (slice(count), slice(count, None)))
+        first, last = ((motion.at(rows), along.at(rows)) for rows in (slice(count), slice(count, None)))
     else:
-        first, last, seen, rest = motion, other, along, expected(dynamics, body, other, passive)
-    gains = servo_gains(first, seen.required, body)
+        first, last = (motion, along), (other, expected(dynamics, body, other, passive))
     of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff)
-    while True:
-        for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
-            known = of(motion=first, along=seen, factor=gains.factor)
-            chosen = weighted_fit(known, first, rules, None, _columns_of(known, gains)).chosen
-            if (better := _nearer(known, chosen, gains)) is gains:
-                break
-            gains = better
-        gains = gains.far
-        known, unseen = (of(motion=m, along=a, factor=gains.factor) for m, a in ((first, seen), (last, rest)))
-        before = _columns_of(known, gains)
-        fits = [weighted_fit(known, first, rules, plain, before) for plain in PLAIN]
-        left = [left_by(unseen, each.chosen) for each in fits]
-        size = np.maximum(_rms(unseen.missing), 1e-300)
-        tolerated = rules.evidence.tolerance * unseen.required
-        errors = [float(np.linalg.norm(np.hypot(_rms(each), tolerated) / size)) for each in left]
-        behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
-        best = int(np.argmin(errors)) if behind else 0
-        # a gain that leaves more than the file's own was none
-        worse = gains.changed & (_rms(left[best]) > _rms(unseen.of_file))
-        if not worse.any():
-            break
-        gains = ServoGains(np.where(worse, 1.0, gains.factor))
-    own = [left_by(known, each.chosen) for each in fits]
-    memory = float(correlation_times(own[best], first.stretch).max())
-    torque, plain = (closing(unseen.of_file, left[n], (known.of_file, own[n])) for n in (best, PLAIN.index(FRICTION)))
-    coefficients = named(known, fits[best].chosen, gains)
-    there = Unseen(last, coefficients, unseen.of_file, left[best], known.cutoff, first, known.of_file)
+    found = _tried(of, first, last, servo_gains(first[0], first[1].required, body), rules)
+    while found.worse.any():
+        found = _tried(of, first, last, ServoGains(np.where(found.worse, 1.0, found.gains.factor)), rules)
+    known, unseen, gains, best = found.known, found.unseen, found.gains, found.best
+    own = [left_by(known, each.chosen) for each in found.fits]
+    memory = float(correlation_times(own[best], first[0].stretch).max())
+    torque, plain = (
+        closing(unseen.of_file, found.left[n], (known.of_file, own[n])) for n in (best, PLAIN.index(FRICTION))
+    )
+    coefficients = named(known, found.fits[best].chosen, gains)
+    there = Unseen(last[0], coefficients, unseen.of_file, found.left[best], known.cutoff, first[0], known.of_file)
     whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor)
-    fit = weighted_fit(whole, motion, rules, PLAIN[best], before, others=True)
+    fit = weighted_fit(whole, motion, rules, PLAIN[best], _columns_of(known, gains), others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     return Regression(
         body.joint_names,
@@ -181,6 +164,49 @@ def regress(
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
         tuple(of_others(whole, fit, gains)),
     )
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Fits as `PLAIN` has them, about servos' `gains`: to rows that are `known`, and what they leave of `unseen` ones.
+
+    `best` is the number of the fit that is the answer, `left` (R, K) is of each.
+    """
+
+    known: LinearEffects
+    unseen: LinearEffects
+    gains: ServoGains
+    fits: list[Fitted]
+    left: list[np.ndarray]
+    best: int
+
+    @property
+    def worse(self) -> np.ndarray:
+        """(K,) whether a gain leaves more than the file's own: it was none."""
+        return self.gains.changed & (_rms(self.left[self.best]) > _rms(self.unseen.of_file))
+
+
+Rows = tuple[MeasuredMotion, Expected]
+
+
+def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: ServoGains, rules: Rules) -> _Tried:
+    """Fits to ``first`` about ``gains``, or nearer ones, and the choice among them by the ``last`` rows."""
+    for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
+        known = of(motion=first[0], along=first[1], factor=gains.factor)
+        chosen = weighted_fit(known, first[0], rules, None, _columns_of(known, gains)).chosen
+        if (better := _nearer(known, chosen, gains)) is gains:
+            break
+        gains = better
+    gains = gains.far
+    known, unseen = (of(motion=motion, along=along, factor=gains.factor) for motion, along in (first, last))
+    before = _columns_of(known, gains)
+    fits = [weighted_fit(known, first[0], rules, plain, before) for plain in PLAIN]
+    left = [left_by(unseen, each.chosen) for each in fits]
+    size = np.maximum(_rms(unseen.missing), 1e-300)
+    tolerated = rules.evidence.tolerance * unseen.required
+    errors = [float(np.linalg.norm(np.hypot(_rms(each), tolerated) / size)) for each in left]
+    behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
+    return _Tried(known, unseen, gains, fits, left, int(np.argmin(errors)) if behind else 0)
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

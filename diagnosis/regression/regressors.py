@@ -116,6 +116,13 @@ def link_axes(body: Any) -> list[Sequence[str]]:
     return [("",), AXES, NAMES] if body.dimensions == 3 else [("",)] * 3
 
 
+def link_names(body: Any, own: list[np.ndarray]) -> list[tuple[str, str]]:
+    """Names and units of a link's columns, in the order of :func:`link_regressors`."""
+    words = (("mass", "kg"), ("first moment", "kg·m"), ("second moment", "kg·m²"))
+    found = zip(words, link_axes(body), strict=True)
+    return [(f"{word} {axis}".strip(), unit) for (word, unit), every in found for axis in every] if own else []
+
+
 def base_columns(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which columns of ``rows`` (N, P) are a base, those of the others that move at all, and these as sums of a base's.
 
@@ -133,3 +140,14 @@ def base_columns(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     base, rest = order[pivot[:rank]], order[pivot[rank:]]
     factors = scipy.linalg.solve_triangular(r[:rank, :rank], r[:rank, rank:]) * scale[rest] / scale[base][:, None]
     return base, rest, factors
+
+
+def all_but_the_largest(rows: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Which of links' columns, of ``rows`` (N, P), are a base, but for the one whose nominal torque is largest."""
+    base, rest, factors = base_columns(rows)
+    free = np.zeros(rows.shape[1], dtype=bool)
+    free[base] = True
+    if base.size:
+        torque = np.abs(own[base] + factors @ own[rest]) * np.linalg.norm(rows[:, base], axis=0)
+        free[base[int(torque.argmax())]] = False
+    return free

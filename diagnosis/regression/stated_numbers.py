@@ -122,11 +122,11 @@ def named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> Numbers
 
 
 def drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[Numbers, ...]:
-    """Numbers of draws from the Gaussian of the coefficients, always the same."""
+    """Numbers of draws from the coefficients' Gaussian, always the same; joints' tolerated torques are independent."""
     if not fit.chosen.columns:
         return ()
     rng = np.random.default_rng(0)
-    whole = fit.covariance + fit.discrepancy
+    whole = fit.covariance + fit.discrepancy.sum(0)
     sd = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
     alike = whole / sd[:, None] / sd
     # columns that say nearly the same have eigenvalues that are below zero by rounding
@@ -159,7 +159,7 @@ def _scaled(numbers: Numbers, place: str, factor: float) -> Numbers:
 def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
     """Numbers of effects at joints."""
     values, unsure = named(effects, fit.chosen, servos), _without_scale(effects, fit.chosen, servos)
-    sds, more = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (fit.covariance, fit.discrepancy))
+    sds, more = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), fit.shift(np.eye(len(fit.chosen.columns)))
     fitted = {
         (effects.kinds[p], effects.places[p], effects.names[p]): each
         for p, *each in zip(fit.chosen.columns, fit.chosen.values.tolist(), sds.tolist(), more.tolist(), strict=True)
@@ -234,7 +234,7 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         whole[mine] = combination
         nominal = float(combination @ own[[p - offset for p in columns]])
         value = nominal + float(whole @ chosen.values)
-        sd, more = (float(np.sqrt(max(whole @ each @ whole, 0.0))) for each in (fit.covariance, fit.discrepancy))
+        sd, more = float(np.sqrt(max(whole @ fit.covariance @ whole, 0.0))), float(fit.shift(whole[None])[0])
         parts = {named[j]: float(combination[j]) for j in rest if abs(combination[j]) > 1e-9}
         p = columns[b]
         name, place, unit = effects.names[p], effects.places[p], effects.units[p]

@@ -16,10 +16,12 @@ it to the next. So the sd of each β is at least that of a jackknife over F fold
     s² = (F − 1)/F Σ_f (β_(−f) − mean)²,     F − 1 degrees of freedom                    (Shao & Wu 1989)
 
 Neither shows a torque that no effect explains and that looks like one from the first row to the last. Up to the size
-t_j that is tolerated at joint j it is not looked for. It shifts no sum of coefficients by more than one sd of A⁻¹ C A⁻¹
-(Cauchy's inequality), which is added as for a discrepancy (Kennedy & O'Hagan 2001):
+t_j that is tolerated at joint j it is not looked for. A sum aᵀβ of coefficients is shifted by no more than (Cauchy's
+inequality at each joint)
 
-    C = R Σ_j Σ_t (w t_j/σ_j²)² x xᵀ
+    Σ_j √(aᵀ A⁻¹ C_j A⁻¹ a),     C_j = R Σ_t (w t_j/σ_j²)² x xᵀ
+
+which is added to its sd as of a discrepancy (Kennedy & O'Hagan 2001).
 
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
@@ -41,7 +43,7 @@ from invdyn.diagnosis.rules import FIXED, Rules
 class Fitted:
     """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows.
 
-    `discrepancy` (p, p) is what torques that are tolerated add to the covariance: to what a number may be, and not to
+    `discrepancy` (K, p, p) are A⁻¹ C_j A⁻¹ of torques that are tolerated: they add to what a number may be, and not to
     whether it is there.
     `others` are fits with one effect more, by that effect and its place, whatever least value it has.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
@@ -54,6 +56,11 @@ class Fitted:
     discrepancy: np.ndarray
     tolerance: float = 0.0
     others: Mapping[tuple[str, str], "Fitted"] = field(default_factory=dict)
+
+    def shift(self, sums: np.ndarray) -> np.ndarray:
+        """(S,) largest shift of sums (S, p) of coefficients by torques that are tolerated."""
+        squares = np.einsum("sp,kpq,sq->ks", sums, self.discrepancy, sums, optimize=True)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)).sum(0))
 
 
 def weighted_fit(
@@ -175,10 +182,10 @@ def _covariance(
     tau: np.ndarray,
     chosen: Chosen,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A⁻¹ B A⁻¹ (p, p), at least that of rows that count, and of the jackknife; and A⁻¹ C A⁻¹; ``gram`` is XᵀWX."""
+    """A⁻¹ B A⁻¹ (p, p), at least that of rows that count, and of the jackknife; and A⁻¹ C_j A⁻¹; ``gram`` is XᵀWX."""
     columns, noise = list(chosen.columns), chosen.noise
     if not columns:
-        return np.zeros((0, 0)), np.zeros((0, 0))
+        return np.zeros((0, 0)), np.zeros((len(noise), 0, 0))
     own = gram[:, columns][:, :, columns] / noise[:, None, None] ** 2
     prior = np.diag([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
     inverse = _inverse(own.sum(0) + prior)
@@ -191,7 +198,7 @@ def _covariance(
     least = np.maximum(np.diag(_inverse((own / tau[:, None, None]).sum(0) + prior)), jackknife)
     grow = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-300), 1.0))
     worst = effects.columns.sums(effects.missing, len(weights) * (weights / noise**2 * choice.tolerated) ** 2)[0]
-    return robust * grow[:, None] * grow, inverse @ worst.sum(0)[columns][:, columns] @ inverse
+    return robust * grow[:, None] * grow, inverse @ worst[:, columns][:, :, columns] @ inverse
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
