@@ -463,6 +463,7 @@ class Fixed:
     engine_settled: float = number(0.2, "posterior sd", "of a number's change that ends them", "chosen")
     engine_shorter: int = number(2, "steps", "that are tried, each a quarter of the last", "effort")
     engine_gain: float = number(0.3, "nats", "that a step must gain", "chosen")
+    engine_gap_sds: float = number(2.0, "sds", "of chance, below which unseen rows show no gap", "chance: .02")
     engine_usual: float = number(0.3, "of a usual force", "that an effect's is, one sd", "chosen")
     engine_speed_noise: float = number(1e-3, "usual speeds", "noise of velocities in a row", "chosen")
     engine_sizes: tuple[float, ...] = number(

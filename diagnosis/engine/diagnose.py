@@ -7,6 +7,7 @@ have not seen, and where the gap lies.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -33,7 +34,7 @@ from invdyn.diagnosis.check.before import check_numbers
 from invdyn.diagnosis.check.check import BY_TORQUES
 from invdyn.diagnosis.engine.causes import Cause, filtered_with
 from invdyn.diagnosis.engine.cubature_filter import Filtered
-from invdyn.diagnosis.engine.effects import EFFECTS, Candidate, candidates
+from invdyn.diagnosis.engine.effects import EFFECTS, candidates
 from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at, sensed
 from invdyn.diagnosis.engine.search import Found, search
 from invdyn.diagnosis.prediction.predict import Scores
@@ -82,72 +83,52 @@ def diagnose_engine(
     known = {effect.name for effect in EFFECTS}
     if unknown := [name for name in without if name not in known]:
         raise InputError(f"unknown effect {unknown[0]!r}: known are {', '.join(sorted(known))}")
-
-    def report(done: int, what: str) -> None:
-        if progress is not None:
-            progress(done, 3, what)
-
+    report = progress or (lambda done, total, what: None)
     every = [recording] if isinstance(recording, Recording) else list(recording)
     count = sum(each.num_frames for each in every)
     if count < rules.recording.min_rows:
         reason = f"{count} rows are recorded and {rules.recording.min_rows} are needed"
         nothing = nothing_to_say(every[0], scene, seed, passive, reason, rules)
         return replace(nothing, method={"engine": _engine(reasons)})
-    said = {UNCHECKED: f"Not looked at: {BY_TORQUES}, as no regression has the forces of MuJoCo's constraints"}
-    shifting = [name for name, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns]
-    for each in (*every, *([held_out] if held_out else [])):
-        if refused := check_numbers(sensed(each, scene), scene.reach, shifting, force, rules):
-            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
-    report(0, "bind")
+    said = _checked([*every, *([held_out] if held_out else [])], scene, force, rules)
+    report(0, 3, "bind")
     try:
-        log = engine_log([looked_at(each, rules, len(every)) for each in every], scene, passive=passive, rules=rules)
-        other = None
-        if held_out is not None:
-            other = engine_log(looked_at(held_out, rules), scene, passive=passive, rules=rules)
-        report(1, "screen and refine")
+        bound = partial(engine_log, scene=scene, passive=passive, rules=rules)
+        log = bound([looked_at(each, rules, len(every)) for each in every])
+        other = None if held_out is None else bound(looked_at(held_out, rules))
+        report(1, 3, "screen and refine")
         possible = candidates(scene.model, log.pairs, log.sizes, without)
         found = search(log, possible, most or rules.search.max_effects)
     except Diverged as error:
         raise InputError(f"{every[0].name}: {error}: look at masses, units and the first pose") from error
-    report(2, "describe")
-    result = _assembled(log, found, possible, seed, other)
-    said |= _method(log, found, possible, reasons, count, other)
-    report(3, "done")
+    report(2, 3, "describe")
+    result = _assembled(log, found, seed, other)
+    said |= _method(log, found, len(possible), reasons, count, other is None, result.shrinkage.gap_closed is None)
+    report(3, 3, "done")
     return replace(result, method=result.method | said)
 
 
-def _assembled(
-    log: EngineLog, found: Found, every: Sequence[Candidate], seed: int, other: EngineLog | None
-) -> Diagnosis:
+def _checked(recordings: Sequence[Recording], scene: Scene, force: bool, rules: Rules) -> dict[str, str]:
+    """What the result says of recordings that were checked; raises InputError where one has a mistake that is sure."""
+    said = {UNCHECKED: f"Not looked at: {BY_TORQUES}, as no regression has the forces of MuJoCo's constraints"}
+    shifting = [name for name, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns]
+    for each in recordings:
+        if refused := check_numbers(sensed(each, scene), scene.reach, shifting, force, rules):
+            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
+    return said
+
+
+def _assembled(log: EngineLog, found: Found, seed: int, other: EngineLog | None) -> Diagnosis:
     scene, rules, best, none = log.model.scene, log.rules, found.best, found.none
     joints = log.model.inputs.names
     shares = _closed(log, none, best, seed, other)
     before, after = _residual(log, none), _residual(log, best)
     large = none.size(log) > rules.evidence.tolerance
-    probability = 1 - found.alone[""]
-    alone, in_part, outside = found.alone, found.in_part, found.outside
-    if not large:
-        alone = {key: value + in_part[key] for key, value in alone.items()}
-        in_part, outside = dict.fromkeys(alone, 0.0), 0.0
-        probability = 1 - alone[""]
-    within = tempered(best.log_evidence(log) - none.log_evidence(log), rules.evidence.temper_scale_within)
-    answers = tuple(
-        Answer(
-            tuple(_findings(log, cause, within, seed)),
-            alone[cause.key],
-            cause.log_evidence(log),
-            float("nan"),
-            in_part[cause.key],
-        )
-        for cause in found.causes
-        if alone[cause.key] + in_part[cause.key] > rules.evidence.min_probability or cause is best
-    )
-    answers = tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part)))
+    answers, outside, probability = _answers(log, found, large, seed)
     rivals = ambiguous(answers, rules)
     share = (before[0] ** 2).mean(0) / log.typical**2
     located = dict(zip(joints, (share / max(share.sum(), 1e-300)).tolist(), strict=True))
     limit = rules.evidence.tolerance * log.typical
-    visible = tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in found.first)
     seen = {each.key for each in best.effects}
     return Diagnosis(
         recording=log.recording.name,
@@ -181,9 +162,34 @@ def _assembled(
         ),
         tracks=_tracks(log, none, best, before, after),
         screened=tuple((each.effect.key, each.log_evidence - none.log_evidence(log)) for each in found.first),
-        visibility=visible,
+        visibility=tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in found.first),
         rules=rules,
     )  # fmt: skip
+
+
+def _answers(log: EngineLog, found: Found, large: bool, seed: int) -> tuple[tuple[Answer, ...], float, float]:
+    """Causes, most probable first; the probability of what no effect is, and that of a gap.
+
+    Where the gap is not ``large``, nothing is left beside a cause.
+    """
+    evidence = log.rules.evidence
+    alone, in_part, outside, probability = found.alone, found.in_part, found.outside, 1 - found.alone[""]
+    if not large:
+        alone = {key: value + in_part[key] for key, value in alone.items()}
+        in_part, outside, probability = dict.fromkeys(alone, 0.0), 0.0, 1 - alone[""]
+    within = tempered(found.best.log_evidence(log) - found.none.log_evidence(log), evidence.temper_scale_within)
+    answers = [
+        Answer(
+            tuple(_findings(log, cause, within, seed)),
+            alone[cause.key],
+            cause.log_evidence(log),
+            float("nan"),
+            in_part[cause.key],
+        )
+        for cause in found.causes
+        if alone[cause.key] + in_part[cause.key] > evidence.min_probability or cause is found.best
+    ]
+    return tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part))), outside, probability
 
 
 def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
@@ -236,8 +242,12 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
         after = filtered_with(there, best.effects, np.clip(values, low, high)) if best.effects else before
     except Diverged:
         after = before  # with these numbers the simulation cannot follow, and closes nothing
-    scores = [_scores(there, each, each.innovations[0], kappa) for each in (before, after)]
-    return closed(*scores, rows, there.recording.time, seed, rules=log.rules)
+    nothing, with_cause = (_scores(there, each, each.innovations[0], kappa) for each in (before, after))
+    told = closed(nothing, with_cause, rows, there.recording.time, seed, rules=log.rules)
+    # ½ χ² of white innovations: where no more than chance is missing, as in free flight, there is nothing to close
+    chance = np.sqrt(0.5 * (~there.observations[rows].isnan()).sum().item())
+    gap = np.nansum((with_cause.floor - nothing.score)[rows])
+    return told if gap > FIXED.engine_gap_sds * chance else replace(told, share=None, interval=None)
 
 
 def _told_by(cause: Cause, first: int, kappa: float) -> np.ndarray:
@@ -297,19 +307,15 @@ def _engine(reasons: Sequence[str]) -> str:
 
 
 def _method(
-    log: EngineLog,
-    found: Found,
-    every: Sequence[Candidate],
-    reasons: Sequence[str],
-    rows: int,
-    other: EngineLog | None,
+    log: EngineLog, found: Found, candidates: int, reasons: Sequence[str], rows: int, last: bool, untold: bool
 ) -> dict[str, str]:
-    used = len(log.observations)
+    used, where = len(log.observations), "the last third of the rows" if last else "another recording"
+    untold = untold and bool(found.best.effects)
     return {
         "engine": _engine(reasons),
         "rows": f"the first {used} of {rows} rows" if used < rows else f"{used} rows",
-        "candidates": f"{len(every)} effects at their places; {len(found.causes)} causes refined",
+        "candidates": f"{candidates} effects at their places; {len(found.causes)} causes refined",
         "evidence": "by cubature Kalman filters, each about its own numbers; the residual torque's size integrated "
         "out, noise scale at its most probable",
-        "held out": "the last third of the rows" if other is None else "another recording",
+        "held out": where + ", in which no more than chance is missing: record what shows the cause" * untold,
     }

@@ -206,6 +206,19 @@ def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[
     return values
 
 
+def _best_places(
+    table: np.ndarray, found: Sequence[Hypothesis], window: float
+) -> tuple[tuple[int, int], tuple[int, int] | None]:
+    """Size and hypothesis of the largest evidence in ``table`` (G, H), and of that at another time, s apart."""
+    size, place = (int(k) for k in np.unravel_index(table.argmax(), table.shape))
+    moments = np.array([hypothesis.point.get("moment", 0.0) for hypothesis in found])
+    apart = np.abs(moments - moments[place]) > window
+    if not apart.any():
+        return (size, place), None
+    other, there = (int(k) for k in np.unravel_index(np.where(apart, table, -np.inf).argmax(), table.shape))
+    return (size, place), (other, there)
+
+
 @kept_unit("screen", Screened, Added, Hypothesis, Columns)
 def screen(
     problem: DiagnosisProblem,
@@ -224,8 +237,7 @@ def screen(
     for a while; by default those in which it would explain most.
     """
     problem.budget.start(*(key_of((*model.effects, effect)) for effect in effects))
-    levels = problem.regime.sizes
-    levels = levels[:3] if quiet and problem.regime.knows_torque else levels
+    levels = problem.regime.sizes[: 3 if quiet and problem.regime.knows_torque else None]
     # What an effect adds is small: half of the sub-steps tell it as well.
     quick = model.in_substeps((model.substeps + 1) // 2)
     rest = slopes(quick, common, point, problem.rules.screening.slope_step * common.sd, path)
@@ -241,8 +253,8 @@ def screen(
         problem.budget.spend(FIXED.column_cost * columns.g.shape[-1], model, len(path))
         whitened = products(problem, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
         results = evidences(whitened, found, first, common, point)
-        table = np.stack([r.log_evidence for r in results])  # (G, H)
-        none = table[:, -1] + weights
+        table = np.stack([r.log_evidence for r in results]) + weights[:, None]  # (G, H)
+        none = table[:, -1]
         likely = int(none.argmax())
         kappa = float(results[likely].kappa[-1])
         # Beside a limb's own torque; a simulation would have none, were its gap explained.
@@ -250,13 +262,9 @@ def screen(
         keys = [h.effect.key for h in found]
         for key in dict.fromkeys(keys):
             mine = [i for i, other in enumerate(keys) if other == key]
-            part = table[:, mine] + weights[:, None] + np.array([found[i].log_weight for i in mine])
-            size, place = np.unravel_index(part.argmax(), part.shape)
+            part = table[:, mine] + np.array([found[i].log_weight for i in mine])
+            (size, place), other = _best_places(part, [found[i] for i in mine], problem.rules.screening.burst_window)
             best = found[mine[place]]
-            moments = np.array([found[i].point.get("moment", 0.0) for i in mine])
-            apart = np.abs(moments - best.point.get("moment", 0.0)) > problem.rules.screening.burst_window
-            next_best = np.where(apart, part, -np.inf)
-            other = np.unravel_index(next_best.argmax(), part.shape) if apart.any() else None
             screened.append(
                 Added(
                     best.effect,

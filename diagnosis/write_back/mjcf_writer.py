@@ -156,8 +156,8 @@ def _inertial(file: Elements, after: Any, body: Element, number: int) -> Attribu
     said: Attributes = {"mass": _row(after.body_mass[number])}
     old, own = file.model, file.weighed(body)
     if file.from_geoms:
-        inertias = (one.body_inertia[number] * other.body_mass[number] for one, other in ((old, after), (after, old)))
-        same = np.allclose(*inertias, rtol=1e-9, atol=0) and not _differ(old, after, number, "ipos", "iquat")
+        one, other = (a.body_inertia[number] * b.body_mass[number] for a, b in ((old, after), (after, old)))
+        same = np.allclose(one, other, rtol=1e-9, atol=0) and not _differ(old, after, number, "ipos", "iquat")
         return said | {"density": None} if same and own is not None else FROM_GEOMS
     if own is None or _differ(old, after, number, "ipos"):
         said["pos"] = _row(after.body_ipos[number])

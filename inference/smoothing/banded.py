@@ -17,6 +17,8 @@ and §6.6.5). The integral over all paths is that of a Gaussian,
 Shapes: as in :mod:`.square_root`, without batch. N must be regular.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg.blas import dtbsv
 from scipy.linalg.lapack import dpbtrf, dpbtrs
@@ -71,6 +73,25 @@ def chain_posterior(
         return unit * solution.reshape(unit.shape)
 
     chain = apply(inverse, np.concatenate([m0[None], a]))
+    x, own, seen = _refined(rows, solved, chain, e, unit, repair, tolerance)
+    squares = ((chain - own) ** 2).sum() + ((e - seen) ** 2).sum()
+    volume = np.log(unit).sum() - np.log(factor[0]).sum() - log_abs_det(roots).sum()
+    drawn = np.zeros_like(x)
+    if noise is not None:
+        drawn = unit * dtbsv(2 * unit.shape[1] - 1, factor, noise.ravel(), lower=1, trans=1).reshape(unit.shape)
+    return x, float(volume - 0.5 * squares), drawn
+
+
+def _refined(
+    rows: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    solved: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    chain: np.ndarray,
+    e: np.ndarray,
+    unit: np.ndarray,
+    repair: float,
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The path of right-hand sides ``chain`` and ``e``, refined, and its two parts of A x."""
     x = solved(chain, e)
     own, seen = rows(x)
     for most in (repair, tolerance):
@@ -83,12 +104,7 @@ def chain_posterior(
             raise Singular("refinement does not settle")
         if size <= tolerance:
             break
-    squares = ((chain - own) ** 2).sum() + ((e - seen) ** 2).sum()
-    volume = np.log(unit).sum() - np.log(factor[0]).sum() - log_abs_det(roots).sum()
-    drawn = np.zeros_like(x)
-    if noise is not None:
-        drawn = unit * dtbsv(2 * unit.shape[1] - 1, factor, noise.ravel(), lower=1, trans=1).reshape(unit.shape)
-    return x, float(volume - 0.5 * squares), drawn
+    return x, own, seen
 
 
 def _band(within: np.ndarray, off_diagonal: np.ndarray, unit: np.ndarray) -> np.ndarray:

@@ -49,8 +49,11 @@ def test_a_changed_number_is_named_and_written_back(name, change, tmp_path):
     other = linkages.log_of(changed, CASES[name][1], rows=60, seed=3, name="other") if change is stiffer else None
     found, recording = diagnosed(name, change, held_out=other)
     assert kind(found) == "cause", verdict(found)
-    assert found.method["held out"] == ("the last third of the rows" if other is None else "another recording")
-    if change is stiffer:
+    if name == "rubbing" and change is smoother:  # its shoe touches the rail in the first rows alone
+        assert found.shrinkage.gap_closed is found.shrinkage.interval_90 is None
+        assert "last third of the rows, in which no more than chance is missing" in found.method["held out"]
+    else:
+        assert found.method["held out"] == ("the last third of the rows" if other is None else "another recording")
         assert found.shrinkage.gap_closed > 0.9
     (finding,) = found.causes[0].effects
     if change is stiffer:
@@ -72,7 +75,8 @@ def test_a_changed_number_is_named_and_written_back(name, change, tmp_path):
     members = [
         mujoco.MjModel.from_xml_string(text.decode()) for text, _, _ in copies(found, source, Scene.of(source), 9)
     ]
-    drawn = np.array([np.ravel(getattr(each, field))[np.argmax(np.ravel(getattr(own, field)))] for each in members])
+    moved = np.argmax(np.abs(getattr(own, field) - getattr(Scene.of(source).model, field)))
+    drawn = np.array([np.ravel(getattr(each, field))[moved] for each in members])
     assert 0.2 * number.sd < drawn.std() < 5 * number.sd
     assert drawn.mean() == pytest.approx(number.mean, abs=3 * number.sd)
     assert json.loads(json.dumps(written.to_json()))["write_back"]["changes"][0]["effect"] == finding.key
