@@ -114,7 +114,8 @@ class OutputFiles:
                 for path in self.of("OpenSim"):
                     write_moments(path, *moments)
                 for path in self.of("NWB"):
-                    write_nwb(path, {"behavior": moments}, {"behavior": seen(idata)})
+                    unit = str(idata["posterior"]["torque"].attrs["units"])
+                    write_nwb(path, {"behavior": moments}, {"behavior": seen(idata)}, unit)
             for path in self.of("motion"):
                 write_motion(path, time, quantiles(idata, "angle")[2], joints)
             for path in self.of("figure"):

@@ -90,7 +90,8 @@ def save_study(study: Any, folder: Path, nwb: bool = False) -> list[Path]:
             torques = {moments[i][0]: moments[i][1] for i in members}
             recordings = {moments[i][0]: study.trials[i].recording for i in members}
             (folder / "nwb").mkdir(exist_ok=True)
-            write_nwb(place("nwb", f"{name}.nwb"), torques, recordings)
+            unit = said(study.posteriors[members[0]])["units"]["torque"]
+            write_nwb(place("nwb", f"{name}.nwb"), torques, recordings, unit)
         write_text(folder / FILES, "".join(f"{file.relative_to(folder).as_posix()}\n" for file in files))
     return [*files, folder / FILES]
 

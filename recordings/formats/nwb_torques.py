@@ -1,17 +1,19 @@
 """Torques of joints, with their intervals, in NWB files (Neurodata Without Borders), next to the pose they come from.
 
-    processing/<trial>/<joint>_torque, …_q05, …_q95    TimeSeries (T,), N·m or N: median, 5 and 95 % quantile
+    processing/<trial>/<joint>_torque, …_q05, …_q95    TimeSeries (T,): median, 5 and 95 % quantile, in the unit given
     processing/<trial>/<trial>_pose                    PoseEstimation (ndx-pose) of the keypoints
 
-Times are the recording's, s. A file of NWB needs the date of its session, which no recording here tells: it is 1970.
-Written by pynwb, which checks it; read back, the pose is a recording again (:mod:`.nwb_pose`).
+A / or : in a name stands as _, as NWB allows neither. Times are the recording's, s. A file of NWB needs the date of its
+session, which no recording here tells: it is 1970. Written by pynwb, which checks it; read back, the pose is a
+recording again (:mod:`.nwb_pose`).
 
 https://nwb-schema.readthedocs.io, https://github.com/rly/ndx-pose
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +32,25 @@ def check_nwb(path: str | Path) -> None:
         raise InputError(f"{path}: .nwb needs `pip install 'invdyn[tracks]'`; .csv has the same torques")
 
 
-def write_nwb(path: str | Path, torques: Mapping[str, Moments], recordings: Mapping[str, Recording]) -> None:
+def nwb_names(names: Iterable[str]) -> list[str]:
+    """Names with _ for each / and :, and a number behind one that would be the same as one before."""
+    found: list[str] = []
+    for name in names:
+        plain = name.replace("/", "_").replace(":", "_")
+        others = (f"{plain}_{number}" for number in count(2))
+        found.append(plain if plain not in found else next(other for other in others if other not in found))
+    return found
+
+
+def write_nwb(
+    path: str | Path, torques: Mapping[str, Moments], recordings: Mapping[str, Recording], unit: str = "N·m"
+) -> None:
     """Write torques by trial, and the keypoints of the recordings that have some, of the same names.
 
-    Raises InputError without the libraries, or for a name with / or : in it; OSError where it cannot be written.
+    ``unit`` is that of torques; a joint that shifts has N for its N·m. Raises InputError without the libraries, OSError
+    where it cannot be written.
     """
     check_nwb(path)
-    if wrong := [name for name in torques if set("/:") & set(name)]:
-        raise InputError(f"{path}: expected a name without / and :, got {wrong[0]!r}")
     import pynwb
     from ndx_pose import PoseEstimation, PoseEstimationSeries
 
@@ -47,32 +60,34 @@ def write_nwb(path: str | Path, torques: Mapping[str, Moments], recordings: Mapp
         identifier=", ".join(torques),
         session_start_time=unknown,
     )
-    for trial, (time, median, q05, q95, joints, shifting) in torques.items():
+    for trial, (name, (time, median, q05, q95, joints, shifting)) in zip(
+        nwb_names(torques), torques.items(), strict=True
+    ):
         module = file.create_processing_module(name=trial, description="Joint torques, and their pose")
         first = None  # the others link to its times
         for suffix, values in (("", median), ("_q05", q05), ("_q95", q95)):
-            for k, joint in enumerate(joints):
+            for k, (joint, plain) in enumerate(zip(joints, nwb_names(joints), strict=True)):
                 series = pynwb.TimeSeries(
-                    name=f"{joint}_torque{suffix}",
+                    name=f"{plain}_torque{suffix}",
                     data=values[:, k],
-                    unit="N" if joint in shifting else "N·m",
+                    unit=unit.replace("N·m", "N") if joint in shifting else unit,
                     timestamps=time if first is None else first,
                     description=f"{suffix.removeprefix('_') or 'median'} of the posterior",
                 )
                 module.add(series)
                 first = first or series
-        known = recordings.get(trial)
+        known = recordings.get(name)
         if known is not None and known.keypoint_names:
-            unit = {"m": "meters", "px": "pixels"}.get(known.length_unit, known.length_unit)
+            length = {"m": "meters", "px": "pixels"}.get(known.length_unit, known.length_unit)
             points = [
                 PoseEstimationSeries(
-                    name=name,
+                    name=point,
                     data=known.keypoints[:, p],
                     reference_frame="the recording's own",
-                    unit=unit,
+                    unit=length,
                     timestamps=known.time,
                 )
-                for p, name in enumerate(known.keypoint_names)
+                for p, point in enumerate(nwb_names(known.keypoint_names))
             ]
             module.add(PoseEstimation(name=f"{trial}_pose", pose_estimation_series=points))
     with atomic_path(path) as temporary, pynwb.NWBHDF5IO(str(temporary), "w") as store:

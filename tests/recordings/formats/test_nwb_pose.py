@@ -138,3 +138,20 @@ def test_nwb_is_refused_before_the_work_without_its_library(tmp_path, monkeypatc
     monkeypatch.setattr("invdyn.recordings.formats.nwb_torques.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"\.nwb needs `pip install 'invdyn\[tracks\]'`"):
         OutputFiles((tmp_path / "p.nc", tmp_path / "t.nwb")).check()
+
+
+@pytest.mark.long
+def test_names_with_slash_and_colon_and_units_of_pixels_are_written(tmp_path):
+    pynwb = pytest.importorskip("pynwb")
+    torque = np.zeros((6, 2))
+    moments = STAMPS, torque, torque, torque, ("walker/hip", "walker_hip"), set()
+    names = tuple(f"Subject01:{name}" for name in POINTS)
+    given = Recording(STAMPS, TRACKS, names, length_unit="px")
+    unit = "kg·(px)²/s²"
+    write_nwb(tmp_path / "out.nwb", {"a/b:c": moments}, {"a/b:c": given}, unit)
+    with pynwb.NWBHDF5IO(str(tmp_path / "out.nwb"), "r") as store:
+        found = store.read().processing["a_b_c"].data_interfaces
+        assert {name for name in found if name.endswith("_torque")} == {"walker_hip_torque", "walker_hip_2_torque"}
+        assert {each.unit for name, each in found.items() if "torque" in name} == {unit}
+    pose = load(tmp_path / "out.nwb", units="px")
+    assert set(pose.keypoint_names) == {name.replace(":", "_") for name in names}
