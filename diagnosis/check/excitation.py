@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from invdyn.diagnosis.check.torque_regression import Motion, joint_regressors
-from invdyn.diagnosis.regression.regressors import base_columns, link_axes, link_regressors, nominal_link_numbers
+from invdyn.diagnosis.regression.regressors import base_columns, link_names, link_regressors, nominal_link_numbers
 from invdyn.models.dynamics.interface import Dynamics
 
 
@@ -63,10 +63,7 @@ def excited(dynamics: Dynamics, body: Any, motion: Motion, by_joint: np.ndarray)
 def _named(body: Any) -> tuple[list[str], list[str], np.ndarray]:
     """Names, units and nominal values (P,) of the columns."""
     own = nominal_link_numbers(body)
-    words = (("mass", "kg"), ("mass × com", "kg·m"), ("inertia about the joint", "kg·m²"))
-    every = zip(words, link_axes(body), own, strict=False)  # a body of another kind has none
-    kinds = [(f"{kind} {axis}".strip(), unit) for (kind, unit), axes, _ in every for axis in axes]
-    links = [(f"{kind} of {link}", unit) for kind, unit in kinds for link in body.link_names]
+    links = [(f"{kind} of {link}", unit) for kind, unit in link_names(body, own) for link in body.link_names]
     besides = (("damping", "N·m·s/rad"), ("dry friction", "N·m"), ("rotor inertia", "kg·m²"))
     joints = [(f"{kind} at {joint}", unit) for kind, unit in besides for joint in body.joint_names]
     names, units = zip(*links, *joints, strict=True)

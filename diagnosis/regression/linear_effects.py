@@ -11,8 +11,7 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
 Servos' gains are near to what :mod:`.servo_gains` says; their own damping counts as the joint's. Rows at which such a
 servo reaches its limits do not count. Gains and masses have a factor in common, which no torque tells: where gains are
-far from the file's, the links are the file's.
-What is missing and all columns pass one filter (:mod:`.low_pass`).
+far from the file's, the links are the file's. What is missing and all columns pass one filter (:mod:`.low_pass`).
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
 

@@ -86,13 +86,15 @@ def test_base_parameters_of_a_planar_pair(log):
     # a first link's mass at its own joint moves nothing
     assert "mass of upper" not in names
     first = next(
-        each for each in base if "mass × com of upper" in next(iter(each.parts)) or "mass × com of upper" in each.parts
+        each
+        for each in base
+        if "first moment of upper" in next(iter(each.parts)) or "first moment of upper" in each.parts
     )
     # m₁ c₁ + m₂ l₁, whichever of the two is called the base
-    ratio = first.parts.get("mass of fore", 1.0) / first.parts.get("mass × com of upper", 1.0)
+    ratio = first.parts.get("mass of fore", 1.0) / first.parts.get("first moment of upper", 1.0)
     assert ratio == pytest.approx(ARM.links[0].length, rel=1e-6)
     known = {name for each in base if each.sd < 0.05 * abs(each.value) for name in each.parts}
-    assert {"mass × com of upper", "mass × com of fore"} <= known
+    assert {"first moment of upper", "first moment of fore"} <= known
 
 
 def test_effects_that_would_show_and_what_to_record(log):
