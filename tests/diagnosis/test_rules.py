@@ -27,6 +27,7 @@ NOT_TUNED = {
     "OF_JOINTS",
     "OF_TENDONS",
     "OF_A_JOINT",
+    "INTEGRATOR",
     "AT_JOINTS",
     "SPHERE",
 }
