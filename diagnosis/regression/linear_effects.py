@@ -191,11 +191,10 @@ def linear_effects(
         found_first = kind == GAIN and factors[k] != 1.0
         size[p] = 1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12)
         own = parts[k] or NOTHING
+        least[p] = LEAST.get(kind, -np.inf)
         if kind in FILED and n == 0:
             own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
-        else:
-            least[p] = LEAST.get(kind, -np.inf)
         names.append((kind, joints[k], name, of))
     numbers = nominal_link_numbers(body)
     links, free = np.arange(len(names), number), np.ones(number, dtype=bool)
