@@ -394,6 +394,7 @@ def _fingerprint(
     data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
     return {
         "version": version("invdyn"),
+        "kept": [*NUMBERS, *ARRAYS],
         "recording": digest(*data),
         "body": repr(model.body),
         "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),

@@ -43,9 +43,12 @@ GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
 LEFT, HEAVY_MIN_GAIN = 0.05, 5e-3
-"""The search ends where one Newton step is left, whose end is not evaluated. From d posterior sds away such a step of a
+"""The search ends where one Newton step is left. From d posterior sds away such a step of a
 logarithm of sd s ends some d² s from the optimum: its gain of ½ d² nats is at most ``LEFT`` / s, for a tenth of an sd.
 Under heavy tails no step is left, and at most so many nats."""
+
+MAX_PREDICTED = 0.1
+"""Nats that a last step may gain unseen. Where it should gain more, its end is evaluated, and taken if it is better."""
 
 FRESH = 3
 """Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
@@ -174,8 +177,6 @@ class Objective(Generic[M]):
         self.path = start
         self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
         self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
-        # Which parameters move means (:meth:`_slopes_of_means`): the same everywhere.
-        self._moving: list[np.ndarray] | None = None
         # How mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D), at the last
         # evaluation.
         self._moves: tuple[np.ndarray, np.ndarray] | None = None
@@ -201,7 +202,7 @@ class Objective(Generic[M]):
         return self._evaluate(phi)[2]
 
     def last_step(self, phi: np.ndarray) -> tuple[np.ndarray, float] | None:
-        """The whole Newton step (P,) from φ and the nats that it gains, where it is the last one; else None."""
+        """The whole Newton step (P,) from φ and the nats it should gain, where it is the last one; else None."""
         if self._known is None or self._known[0] != phi.tobytes():
             return None
         _, gradient, hessian = self._known[1]
@@ -324,7 +325,7 @@ class Objective(Generic[M]):
 
         And of the first ``count`` sets mean paths, in deviations from ``path``, and draws from those, (2, count, T, D).
         """
-        self._moving = slopes = self._moving or self._slopes_of_means(phi, path, covariance)
+        slopes = self._slopes_of_means(phi, path, covariance)
         found: list[np.ndarray] = []
         paths: list[np.ndarray] = []
         at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
@@ -409,7 +410,10 @@ def fit(
     path = torch.as_tensor(objective.path)
     if (last := objective.last_step(phi)) is not None:
         step, gain = last
-        phi, value, path = phi + step, value - gain, path + objective.moved(step)
+        if gain < MAX_PREDICTED:
+            phi, value, path = phi + step, value - gain, path + objective.moved(step)
+        elif (there := objective.value(phi + step)) < value:
+            phi, value, path = phi + step, there, torch.as_tensor(objective.path)
     log_evidence = -value + 0.5 * ((phi / objective.sd) ** 2).sum()
     covariance = laplace(objective, hessian)
     sd = np.sqrt(np.diagonal(covariance))

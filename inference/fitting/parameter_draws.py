@@ -14,9 +14,9 @@ however near p is to p̂.
 A point fit takes a torque's size and length scale for known, and its bands are too narrow. How many sets it takes
 follows from what a state's variance is off by one set, a share s (:attr:`.Fit.scatter` is s², and to it comes what
 other models may have made, of probability p, p (1 − p)). Of S sets it is s/√S, and of R draws √(2/R): the first is at
-most half of the second where
+most the second where
 
-    S ≥ 2 R s².
+    S ≥ ½ R s².
 
 The longer a recording, the better it tells φ: s falls with its length, and one set may do.
 
@@ -37,7 +37,7 @@ from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameter
 from invdyn.models.divergence import Diverged, diverging
 
 DF = 8.0
-PROPOSALS, MIN_PROPOSALS = 3, 8
+PROPOSALS, MIN_PROPOSALS = 3, 48
 """Draws of the proposal for each set, and in all at least: the evidence is their mean."""
 
 

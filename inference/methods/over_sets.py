@@ -28,6 +28,7 @@ from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fitting.parameter_draws import ParameterSet
 from invdyn.inference.marginalise import body_draws
@@ -114,14 +115,21 @@ def run_sets(
     smoothers = posterior_linearisation(many, rows, gauss_newton(many, rows, start=starts), 1)
     owners = [k for k, count in enumerate(counts) for _ in range(count)]
     with seeded(seed, options.device):
-        draw = _gaussian if method == "laplace" else _filtered
-        paths, evidences, result = draw(problems, smoothers, owners, options)
-        evidences = evidences + torch.tensor(offsets).double()[owners]
-        numbers = torch.tensor(owners)
-        whole = [numbers >= 0] if _of_one_body(problems) else [numbers == k for k in range(len(problems))]
+        more = torch.tensor(offsets).double()[owners]
+        numbers = sets = torch.tensor(owners)
+        together = _of_one_body(problems)
+        if method == "laplace":
+            evidences, result = smoothers.log_evidence[owners] + more, None
+            if together:  # draws of a part weigh the same: each set has as many as it weighs
+                sets = numbers[resample(evidences[None])[0].sort().values]
+            paths = _gaussian(smoothers, sets.tolist(), options)
+        else:
+            paths, result = _filtered(problems, smoothers, owners, options)
+            evidences = result.log_evidence + more
+        whole = [numbers >= 0] if together else [numbers == k for k in range(len(problems))]
         found = []
         for own in whole:
-            model = stacked([problems[k].model for k in numbers[own]], axes=2)
+            model = stacked([problems[k].model for k in sets[own]], axes=2)
             one = replace(problems[int(numbers[own][0])], model=model)
             part = None if result is None else _of_filters(result, own, evidences)
             drawn = paths if own.all() else paths[own]  # all of them are not copied
@@ -167,21 +175,20 @@ def _of_one_body(problems: Sequence[Problem]) -> bool:
     return all(torch.equal(value, each[name]) for each in others for name, value in first.items())
 
 
-def _gaussian(
-    problems: Sequence[Problem], smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions
-) -> tuple[Tensor, Tensor, None]:
-    """Draws of each set's smoother, and its evidence."""
+def _gaussian(smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions) -> Tensor:
+    """Draws of the smoothers of the sets ``owners`` (M,), in order."""
     shape = (len(owners), options.num_draws, *smoothers.path.shape[-2:])
     paths = torch.empty(shape, dtype=stored_dtype(*shape))
-    sizes = [owners.count(k) for k in range(len(problems))]
+    sizes = [owners.count(k) for k in range(len(smoothers.log_evidence))]
     for k, own in enumerate(paths.split(sizes)):
-        own.copy_(GaussianChain.of(smoothers.of_set(k)).sample(own.shape[:2], dtype=own.dtype))
-    return paths, smoothers.log_evidence[owners], None
+        if len(own):
+            own.copy_(GaussianChain.of(smoothers.of_set(k)).sample(own.shape[:2], dtype=own.dtype))
+    return paths
 
 
 def _filtered(
     problems: Sequence[Problem], smoothers: GaussianSmoother, owners: Sequence[int], options: SMCOptions
-) -> tuple[Tensor, Tensor, FilterResult]:
+) -> tuple[Tensor, FilterResult]:
     """Ancestral lines of filters, each with the set and the guide of its own."""
     observations = problems[0].observations
     dtype = options.dtype or sufficient_dtype(smoothers)
@@ -200,7 +207,7 @@ def _filtered(
         resampling=options.resampling,
     )
     result = filters.run(rows).cpu()
-    return genealogy(result, options.num_draws), result.log_evidence, result
+    return genealogy(result, options.num_draws), result
 
 
 def _of_filters(result: FilterResult, own: Tensor, evidences: Tensor) -> FilterResult:

@@ -137,11 +137,14 @@ def to_inference_data(
 
 SINGLE_FROM, AT_ONCE = 4_000_000, 2_000_000
 """Numbers of drawn states from which a posterior is kept in single precision, and how many of those are a block."""
+LONG_PATH = 16_000
+"""The same of one path's numbers: parts of a posterior then have the precision of the whole."""
 
 
 def stored_dtype(*shape: int) -> torch.dtype:
     """Precision of draws of that ``shape`` (M, R, T, D): seven digits will do where there are very many."""
-    return torch.float64 if math.prod(shape) < SINGLE_FROM else torch.float32
+    many = math.prod(shape) >= SINGLE_FROM or math.prod(shape[-2:]) >= LONG_PATH
+    return torch.float32 if many else torch.float64
 
 
 def _of_paths(problem: StateSpaceProblem, paths: Tensor) -> tuple[Contents, np.ndarray]:
@@ -228,11 +231,13 @@ def _outer_attributes(outer: OuterWeights) -> dict[str, float]:
 def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
     """One posterior from several sets of filters of one recording, in order, with new outer weights.
 
-    Where the parts' bodies differ, their links' numbers become variables of the posterior.
+    Where the parts' bodies differ, their links' numbers become variables of the posterior. The parts lose their draws,
+    so that memory never has all of them twice.
     """
     body = [str(name) for name, each in parts[0]["constant_data"].data_vars.items() if "link" in each.dims]
     varies = any(not part["constant_data"][body].equals(parts[0]["constant_data"][body]) for part in parts)
 
+    draws = [part["posterior"].sizes["chain"] * part["posterior"].sizes["draw"] for part in parts]
     groups: dict[str, Any] = {}
     for group in DRAWN:
         pieces = [pooled(part, group) for part in parts]
@@ -244,6 +249,9 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
             ]
         joined = xr.concat(pieces, dim="sample", combine_attrs="override")
         groups[group] = joined.rename(sample="draw").expand_dims("chain")
+        del pieces
+        for part in parts:
+            del part[group]
     statistics = xr.concat([part["sample_stats"] for part in parts], dim="filter", combine_attrs="override")
     groups["sample_stats"] = statistics.assign_coords(filter=np.arange(statistics.sizes["filter"]))
 
@@ -255,7 +263,6 @@ def combine(parts: Sequence[az.InferenceData], seed: int) -> az.InferenceData:
 
     # Draws of a part already weigh the same: what is left to weigh is one part against another.
     filters = [part["sample_stats"].sizes["filter"] for part in parts]
-    draws = [part["posterior"].sizes["chain"] * part["posterior"].sizes["draw"] for part in parts]
     shares = [
         (weights.logsumexp(0) - math.log(count)).expand(count)
         for weights, count in zip(outer.log_weights.split(filters), draws, strict=True)
@@ -328,9 +335,9 @@ def evidence_note(idata: az.InferenceData) -> str:
 
 
 def uneven(idata: az.InferenceData) -> str:
-    """What to do where few of the filters, or of the bodies drawn, carry the weight; else empty.
+    """What to do where few of the filters, or of the parameter sets drawn, carry the weight; else empty.
 
-    By methods without filters all draws of one body weigh the same: unequal weights are those of bodies.
+    Without filters all draws of one set weigh the same: unequal weights are those of sets, of the body's numbers too.
     """
     filters, outer = idata["sample_stats"].sizes["filter"], idata.attrs["outer_ess"]
     if not outer < min(MIN_OUTER_ESS, filters / 2):
@@ -341,8 +348,8 @@ def uneven(idata: az.InferenceData) -> str:
             "--particles, tenfold; if that does not help, the model does not fit: look at the predicted keypoints"
         )
     return (
-        f"few of the bodies drawn carry the weight, {outer:.2g} of {filters} parts of it, so that bands may be far too "
-        "narrow: state the body's numbers with smaller doubts, as the recording knows them better than the file"
+        f"{100 * outer / filters:.2g} % of the parameter sets drawn carry the weight, so that bands may be too narrow: "
+        "state the body's numbers with smaller doubts where the recording knows them better, or take --method smc"
     )
 
 

@@ -209,15 +209,19 @@ def _about_mean(fits: Fits, emission: Distribution, observations: Tensor) -> Fit
 def moved_means(model: StateSpaceModel, path: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
     """Whether means of transitions and of emissions, (B,) each, are other than the first of B parameter sets has.
 
-    They are compared a standard deviation off ``path``, where nothing vanishes by chance.
+    They are compared on both sides of ``path``, as far off as the cubature's points are: √D standard deviations.
     """
     rows = torch.arange(path.shape[-2])
-    places = path + covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-    moved = gaussian_mean(model.transition(places[..., :-1, :], rows[1:]))
+    off = (path.shape[-1] * covariance.diagonal(dim1=-2, dim2=-1)).sqrt()
+    sides = (path + off, path - off)
     keeps = keeps_noise(model, path, model.emission(path, rows))
-    seen = emission_mean(model, places, rows) if keeps else None
-    differ = [(each != each[:1]).flatten(1).any(1) for each in (moved, *([] if seen is None else [seen]))]
-    return differ[0], torch.ones_like(differ[0]) if seen is None else differ[1]
+    moved = _differ([gaussian_mean(model.transition(x[..., :-1, :], rows[1:])) for x in sides])
+    return moved, _differ([emission_mean(model, x, rows) for x in sides]) if keeps else torch.ones_like(moved)
+
+
+def _differ(values: Sequence[Tensor]) -> Tensor:
+    """Which (B,) of B sets of values are other than the first."""
+    return torch.stack([(each != each[:1]).flatten(1).any(1) for each in values]).any(0)
 
 
 def _transitions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:

@@ -57,5 +57,5 @@ def test_few_bodies_that_count_are_said_where_there_are_no_filters(make_posterio
     assert "carry the weight" not in summary_text(idata)
     idata.attrs["outer_ess"] = 1.7
     first = summary_text(idata).splitlines()[0]
-    assert first.startswith("warning: few of the bodies drawn carry the weight")
+    assert first.startswith("warning: 28 % of the parameter sets drawn carry the weight")
     assert "smaller doubts" in first

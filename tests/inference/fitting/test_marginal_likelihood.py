@@ -7,6 +7,7 @@ import numpy as np
 import oracles
 import pytest
 import torch
+from pyro.distributions import Normal
 from scipy.optimize import minimize
 from stiff_arm import arm
 
@@ -15,7 +16,7 @@ from invdyn.inference.fitting import marginal_likelihood
 from invdyn.inference.fitting.marginal_likelihood import Objective
 from invdyn.inference.smoothing import posterior_linearisation
 from invdyn.inputs import load_body
-from invdyn.models import Keypoints, Observation
+from invdyn.models import Keypoints, Observation, StateSpaceModel
 from invdyn.models.divergence import Diverged
 from invdyn.simulate import paper_arm, record
 
@@ -196,6 +197,28 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
     for one, other in zip(shared, Objective(model, rows, free, None)._expand(phi), strict=True):
         # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
+
+
+class OneSided(StateSpaceModel):
+    """A point that a spring pushes on one side of zero alone."""
+
+    state_dim, observation_dim, num_steps = 1, 1, 60
+
+    def initial(self):
+        return Normal(torch.full((1,), 0.1, dtype=self.dtype), 0.1).to_event(1)
+
+    def transition(self, state, t):
+        return Normal(state + self.parameters["spring"] * torch.relu(-state), 0.1).to_event(1)
+
+    def emission(self, state, t):
+        return Normal(state, 0.4).to_event(1)
+
+
+def test_a_parameter_that_acts_on_one_side_alone_is_fitted():
+    """The path lies on the other side, less than a standard deviation of what one row tells away."""
+    rows = 0.12 + 0.1 * torch.randn(60, 1, generator=torch.Generator().manual_seed(0)).double()
+    found = fit(OneSided({"spring": torch.tensor([0.5]).double()}), rows, [Free("spring", sd=1.0)])
+    assert found.phi[0] > 0.1  # the prior's is 0
 
 
 def test_unknown_parameters_are_refused(chain, y):

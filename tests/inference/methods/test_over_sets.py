@@ -43,7 +43,7 @@ def test_a_batch_has_each_sets_smoother(sets):
         problems,
         torch.stack([each.path for each in own]),
         [2, 1, 3],
-        [0.0] * 3,
+        [each.offset for each in own],
         SMCOptions(6, 10, 100),
         0,
         None,
@@ -52,7 +52,7 @@ def test_a_batch_has_each_sets_smoother(sets):
     drawn_of = whole["posterior"]["torque"].transpose("chain", "draw", ...).values[..., 0]
     for each, mine in zip(own, (slice(0, 2), slice(2, 3), slice(3, 6)), strict=True):
         evidences = whole["sample_stats"]["log_evidence"].values[mine]
-        np.testing.assert_allclose(evidences, -each.offset, atol=0.02)
+        np.testing.assert_allclose(evidences, 0, atol=0.02)
         sd = gaussian_smoother(each.model, problem.observations).covariance()[:, 0, 0].sqrt().numpy()
         drawn = drawn_of[mine].reshape(-1, ROWS).std(0)
         assert np.median(drawn / sd) == pytest.approx(1, abs=0.1)  # of 100 draws or more, over 40 rows
@@ -113,6 +113,34 @@ def test_bodies_that_differ_are_told_apart(sets):
         assert len(np.unique(idata["posterior"]["length"])) > 1
 
 
+def of_noises(sets):
+    """The problem, and three sets whose keypoints have a noise of 2, 4 and 6 mm, of equal weight."""
+    problem, own = sets
+    models = [
+        each.model.replace(**{"emission.keypoint_scale": torch.tensor([0.002 * k]).double()})
+        for k, each in enumerate(own, 1)
+    ]
+    found = [gaussian_smoother(model, problem.observations) for model in models]
+    return problem, [
+        ParameterSet(0, m, each.path, -each.log_evidence.item()) for m, each in zip(models, found, strict=True)
+    ]
+
+
+def noise_of_chains(idata):
+    """Sd (M,) of what is predicted about each draw's own position."""
+    spread = idata["posterior_predictive"]["position"] - idata["posterior"]["position"]
+    return spread.std(("draw", "time", "keypoint", "space")).values
+
+
+def test_draws_are_of_each_set_by_its_weight(sets):
+    """A set whose evidence is e times that of each of the other two has a share of e/(e + 2) of the draws."""
+    problem, noisy = of_noises(sets)
+    uneven = [replace(each, offset=each.offset + bonus) for each, bonus in zip(noisy, (0.0, 1.0, 0.0), strict=True)]
+    idata = over_sets("laplace", problem, uneven, options=SMCOptions(60, 10, 40), seed=0)
+    share = np.mean(np.abs(noise_of_chains(idata) - 0.004) < 0.001)
+    assert share == pytest.approx(np.e / (np.e + 2), abs=1.5 / 60)  # resampled systematically
+
+
 def test_equal_models_are_a_batch_too(sets):
     _, own = sets
     both = stacked([own[0].model, own[0].model])
@@ -122,11 +150,7 @@ def test_equal_models_are_a_batch_too(sets):
 
 def test_draws_that_are_kept_block_by_block_are_the_same(sets, monkeypatch):
     """Each chain of a block has the parameters of its own set, not of the first ones."""
-    problem, own = sets
-    noisy = [
-        replace(each, model=each.model.replace(**{"emission.keypoint_scale": torch.tensor([0.002 * k]).double()}))
-        for k, each in enumerate(own, 1)
-    ]
+    problem, noisy = of_noises(sets)
 
     def found():
         return over_sets("laplace", problem, noisy, options=SMCOptions(6, 10, 50), seed=0)
@@ -139,7 +163,4 @@ def test_draws_that_are_kept_block_by_block_are_the_same(sets, monkeypatch):
     for group in ("posterior", "log_likelihood"):
         for name, values in whole[group].data_vars.items():
             np.testing.assert_allclose(blocks[group][name].values, values.values, rtol=1e-4, atol=1e-5)
-    spread = blocks["posterior_predictive"]["position"] - blocks["posterior"]["position"]
-    np.testing.assert_allclose(
-        spread.std(("draw", "time", "keypoint", "space")), [0.002] * 2 + [0.004] * 2 + [0.006] * 2, rtol=0.05
-    )
+    np.testing.assert_allclose(noise_of_chains(blocks), [0.002] * 2 + [0.004] * 2 + [0.006] * 2, rtol=0.05)
