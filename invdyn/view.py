@@ -133,7 +133,7 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     )
     view.notes = {
         "missing torque": "What the simulation needs at the joint to follow the recording, with 90 % bands.",
-        "replay error": "How far the end of the joint's link is from the recorded motion, played without feedback.",
+        "replay error": "How far the link's point is from the smoothed recording, played without feedback.",
         "angle": "Smoothed under the corrected simulation.",
     }
     for k, joint in enumerate([str(name) for name in tracks["joint"].values]):

@@ -112,9 +112,11 @@ def _checked(recordings: Sequence[Recording], scene: Scene, force: bool, rules: 
     """What the result says of recordings that were checked; raises InputError where one has a mistake that is sure."""
     said = {UNCHECKED: f"Not looked at: {BY_TORQUES}, as no regression has the forces of MuJoCo's constraints"}
     shifting = [name for name, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns]
-    for each in recordings:
-        if refused := check_numbers(sensed(each, scene), scene.reach, shifting, force, rules):
-            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
+    refused = [
+        r for each in recordings for r in check_numbers(sensed(each, scene), scene.reach, shifting, force, rules)
+    ]
+    if refused:
+        said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
     return said
 
 
@@ -237,7 +239,10 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
     rows = np.arange(len(there.observations)) >= first
     values = _told_by(best, first, kappa) if first and best.effects else best.values
     low, high = (np.array([getattr(n, end) for e in best.effects for n in e.effect.numbers]) for end in ("low", "high"))
-    before = none.filtered if other is None else filtered_with(there, (), none.values)
+    try:
+        before = none.filtered if other is None else filtered_with(there, (), none.values)
+    except Diverged as error:
+        raise InputError(f"{there.recording.name}: {error}: it is not held-out data of the same robot") from error
     try:
         after = filtered_with(there, best.effects, np.clip(values, low, high)) if best.effects else before
     except Diverged:
