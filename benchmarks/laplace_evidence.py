@@ -20,7 +20,8 @@ import torch
 from scipy.optimize import BFGS
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameters, M
+from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
+from invdyn.inference.fitting.marginal_likelihood import Fit
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.divergence import Diverged, diverging
 

@@ -26,7 +26,8 @@ import torch
 from kept import kept
 from projection import cameras_around
 
-from invdyn.inference.fitting.marginal_likelihood import Free, fit
+from invdyn.inference.fitting.log_parameters import Free
+from invdyn.inference.fitting.marginal_likelihood import fit
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
 from invdyn.inference.smoothing.linearised import gaussian_smoother

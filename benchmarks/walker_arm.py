@@ -26,7 +26,7 @@ from kept import kept
 from laplace_evidence import fit_at_mode
 from walker import tracks
 
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters
+from invdyn.inference.fitting.log_parameters import Free, LogParameters
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton

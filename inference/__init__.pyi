@@ -38,8 +38,8 @@ from .filters.resampling import ess as ess
 from .filters.resampling import resample as resample
 from .filters.second_opinion import Evidence as Evidence
 from .filters.variance import log_evidence_variance as log_evidence_variance
+from .fitting.log_parameters import Free as Free
 from .fitting.marginal_likelihood import Fit as Fit
-from .fitting.marginal_likelihood import Free as Free
 from .fitting.marginal_likelihood import fit as fit
 from .infer import infer as infer
 from .infer_engine import infer_engine as infer_engine

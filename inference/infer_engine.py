@@ -10,7 +10,7 @@ import numpy as np
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
-from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.fitting.scales_on_linearisation import fit_scales
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS
 from invdyn.inference.posterior.engine_contents import hidden

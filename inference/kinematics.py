@@ -15,7 +15,8 @@ import numpy as np
 
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Free, fit
+from invdyn.inference.fitting.log_parameters import Free
+from invdyn.inference.fitting.marginal_likelihood import fit
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.base_motion import hold_base
 from invdyn.inference.posterior.initialise import arm_problem

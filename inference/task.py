@@ -25,7 +25,8 @@ from invdyn.inference.filters.best_guide import bears_out
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
+from invdyn.inference.fitting.log_parameters import Free
+from invdyn.inference.fitting.marginal_likelihood import Fit, fit
 from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws, sets_needed
 from invdyn.inference.marginalise import NUM_SETS, over_bodies
 from invdyn.inference.methods.over_sets import BATCHED, over_sets

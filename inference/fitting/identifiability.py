@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import LogParameters
+from invdyn.inference.fitting.log_parameters import LogParameters
 
 
 def unidentified(parameters: LogParameters, phi: Tensor, log_weights: Tensor, min_share: float = 0.25) -> list[dict]:

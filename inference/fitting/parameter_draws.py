@@ -33,7 +33,9 @@ import torch
 from pyro.distributions import MultivariateStudentT, Normal
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free, LogParameters, M, Objective
+from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
+from invdyn.inference.fitting.marginal_likelihood import Fit
+from invdyn.inference.fitting.objective import Objective
 from invdyn.models.divergence import Diverged, diverging
 
 DF = 8.0

@@ -22,7 +22,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, M
+from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, mean_and_evidence
 from invdyn.inference.smoothing.posterior_linearisation import Fitted
 from invdyn.inference.smoothing.statistical_homotopy import statistical_homotopy

@@ -4,7 +4,7 @@
 
 (Carlin & Louis 2000, *Bayes and Empirical Bayes Methods for Data Analysis*, ch. 3). Each data set has a model of its
 own, whose path and initial state nothing else shares. All models stand at the same θ_0, the prior's centre, so that φ
-means the same in each. Evidence, gradient and Hessian of each are those of :mod:`.marginal_likelihood`; the prior that
+means the same in each. Evidence, gradient and Hessian of each are those of :mod:`.objective`; the prior that
 every one of them has is counted once.
 
 Shapes: N data sets, P parameters φ.
@@ -18,7 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.fitting.marginal_likelihood import Free, M, Objective, laplace, minimum
+from invdyn.inference.fitting.log_parameters import Free, M
+from invdyn.inference.fitting.marginal_likelihood import laplace, minimum
+from invdyn.inference.fitting.objective import Objective
 from invdyn.models.divergence import Diverged
 
 MAX_ITERATIONS = 12

@@ -37,7 +37,7 @@ from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.methods.vsmc_learner import AtParameters
 from invdyn.inference.methods.vsmc_parameters import OverParameters
 from invdyn.inference.posterior.problem import StateSpaceProblem

@@ -19,7 +19,7 @@ from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_d
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, evidence
-from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
 from invdyn.inference.smoothing.linearised import gaussian_smoother

@@ -30,7 +30,8 @@ import torch
 from torch import Tensor
 
 from invdyn.inference.execution.progress import Report
-from invdyn.inference.fitting.marginal_likelihood import Fit, Free, fit
+from invdyn.inference.fitting.log_parameters import Free
+from invdyn.inference.fitting.marginal_likelihood import Fit, fit
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import ArmModel
 from invdyn.models.articulated.start import path_through

@@ -24,7 +24,8 @@ from torch import Tensor
 
 from invdyn.inference.execution.checkpoint import part_of
 from invdyn.inference.execution.distribute import Tensors
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
+from invdyn.inference.fitting.log_parameters import Free, LogParameters
+from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained

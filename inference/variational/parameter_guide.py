@@ -9,7 +9,7 @@ from pyro.distributions import Distribution, MultivariateNormal
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.inference.fitting.marginal_likelihood import LogParameters
+from invdyn.inference.fitting.log_parameters import LogParameters
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.inference.variational.affine import Corrected

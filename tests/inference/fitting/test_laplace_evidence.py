@@ -10,7 +10,7 @@ import torch
 from pages import script
 from scipy.optimize import minimize
 
-from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.fitting.log_parameters import Free
 
 SCRIPT = script("benchmarks/laplace_evidence.py")
 CURVATURE_STEP, fit_at_mode = SCRIPT.CURVATURE_STEP, SCRIPT.fit_at_mode

@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from stiff_arm import arm
 
 from invdyn.inference import Free, fit
-from invdyn.inference.fitting import marginal_likelihood
-from invdyn.inference.fitting.marginal_likelihood import Objective
+from invdyn.inference.fitting import objective
+from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.smoothing import posterior_linearisation
 from invdyn.inputs import load_body
 from invdyn.models import Keypoints, Observation, StateSpaceModel
@@ -190,7 +190,7 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
         return regress(mean, centre, *others)
 
     monkeypatch.setattr(posterior_linearisation, "regress", counted)
-    monkeypatch.setattr(marginal_likelihood, "SETS_AT_ONCE", 64)  # all sets at once
+    monkeypatch.setattr(objective, "SETS_AT_ONCE", 64)  # all sets at once
     shared = Objective(model, rows, free, None)._expand(phi)
     assert fitted[-2:] == [1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
     monkeypatch.setattr(Objective, "_shared_means", lambda *_: None)

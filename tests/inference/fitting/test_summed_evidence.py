@@ -9,7 +9,8 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, Objective
+from invdyn.inference.fitting.log_parameters import Free, LogParameters
+from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.fitting.summed_evidence import _Summed, at_common_start, fit_summed
 
 FREE = [Free("transition_root", tied=True), Free("emission_root", tied=True, sd=0.7)]

@@ -9,7 +9,8 @@ from scenes import looking, ring
 from scipy.spatial.transform import Rotation
 
 from invdyn.inference import SMCOptions
-from invdyn.inference.fitting.marginal_likelihood import Free, LogParameters, fit
+from invdyn.inference.fitting.log_parameters import Free, LogParameters
+from invdyn.inference.fitting.marginal_likelihood import fit
 from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole

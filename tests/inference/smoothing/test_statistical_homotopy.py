@@ -13,7 +13,7 @@ import torch
 from invdyn.inference import SMCOptions, gaussian_smoother
 from invdyn.inference.filters.best_guide import best_guide
 from invdyn.inference.filters.filtering import run_filters
-from invdyn.inference.fitting.marginal_likelihood import Free
+from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.fitting.scales_on_linearisation import fit_scales
 from invdyn.inference.smoothing.statistical_homotopy import statistical_homotopy
 from invdyn.models.engine.drives import JointTorques

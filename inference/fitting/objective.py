@@ -1,0 +1,246 @@
+"""Negative log-posterior of log-parameters φ, with gradient and Hessian.
+
+    −log p(y | φ) − log p(φ),   p(y | φ) of the posterior-linearised model (:mod:`.posterior_linearisation`)
+
+On planar arms that evidence lies within about a nat of the SMC evidence. Gradient and Hessian come by finite
+differences in one batch: all perturbed parameter sets share the posterior N(x̄, P) that the model is linearised over,
+and run through one backward recursion together. Means that a parameter does not move are fitted once.
+
+Under heavy tails the least squares that stand in for rows have the right gradient, but a Hessian whose sign may be
+wrong: it serves the search. What is reported of parameters comes from differences of gradients, each at its own mode.
+
+Shapes: P log-parameters, B sets of them, T rows, D states.
+"""
+
+from collections.abc import Sequence
+from typing import Generic
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
+from invdyn.inference.smoothing.gauss_newton import gauss_newton, mean_and_evidence
+from invdyn.inference.smoothing.posterior_linearisation import (
+    SharedMeans,
+    fit_linear,
+    moved_means,
+    posterior_linearisation,
+)
+from invdyn.models.divergence import Diverged, diverging
+from invdyn.models.observation.missing import is_gaussian
+
+STEP = 2e-3
+"""Finite-difference step of a log-parameter: lengths are known to a part in a thousand, and the evidence is smooth."""
+
+GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
+"""How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
+
+LEFT, HEAVY_MIN_GAIN = 0.05, 5e-3
+"""The search ends where one Newton step is left. From d posterior sds away such a step of a
+logarithm of sd s ends some d² s from the optimum: its gain of ½ d² nats is at most ``LEFT`` / s, for a tenth of an sd.
+Under heavy tails no step is left, and at most so many nats."""
+
+FRESH = 3
+"""Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
+
+SETS_AT_ONCE, ROWS_AT_ONCE = 32, 20_000
+"""Parameter sets that are computed at once, and their rows: more are hardly quicker, and take memory."""
+
+NOT_FINITE = (
+    "the fit cannot start: expected a finite evidence with finite slopes, got none; look for places far from all "
+    "others, such as a missing point written as 0, and check units and the body's lengths"
+)
+
+
+class Objective(Generic[M]):
+    """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
+
+    def __init__(self, model: M, observations: Tensor, free: Sequence[Free], start: Tensor | None):
+        self.observations, self.parameters = observations, LogParameters(model, free)
+        self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
+        self.path = start
+        self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
+        self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
+        # How mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D), at the last
+        # evaluation.
+        self._moves: tuple[np.ndarray, np.ndarray] | None = None
+        self._noise = np.random.default_rng(0).standard_normal((len(observations), model.state_dim))
+        # The last Hessian all of whose entries were computed, and how many evaluations ago that was.
+        self._whole: np.ndarray | None = None
+        self._age = 0
+
+    def at(self, phi: np.ndarray) -> M:
+        """See :meth:`LogParameters.at`."""
+        return self.parameters.at(torch.as_tensor(phi))
+
+    def value(self, phi: np.ndarray) -> float:
+        """Negative log-posterior."""
+        return self._evaluate(phi)[0]
+
+    def gradient(self, phi: np.ndarray) -> np.ndarray:
+        """(P,)."""
+        return self._evaluate(phi)[1]
+
+    def hessian(self, phi: np.ndarray) -> np.ndarray:
+        """(P, P): its diagonal, and correlations of at most ``FRESH`` evaluations before."""
+        return self._evaluate(phi)[2]
+
+    def last_step(self, phi: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """The whole Newton step (P,) from φ and the nats it should gain, where it is the last one; else None."""
+        if self._known is None or self._known[0] != phi.tobytes():
+            return None
+        _, gradient, hessian = self._known[1]
+        values, vectors = np.linalg.eigh(hessian)
+        if values[0] <= 0:
+            return None
+        step = -vectors @ ((gradient @ vectors) / values)
+        gain = -0.5 * float(gradient @ step)
+        if gain >= (HEAVY_MIN_GAIN if self.heavy else LEFT * np.sqrt(values[0])):
+            return None
+        return (np.zeros_like(step), 0.0) if self.heavy else (step, gain)
+
+    def curvature(self, phi: np.ndarray) -> np.ndarray:
+        """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
+        _, gradient, hessian = self._evaluate(phi)
+        if not self.heavy:
+            if self._age == 0:
+                return hessian
+            self._whole = None
+            with diverging():
+                return self._expand(phi)[2]
+        steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
+        rows, found = np.zeros_like(hessian), self.path
+        try:
+            for k, step in enumerate(np.clip(steps, STEP, MAX_GRADIENT_STEP)):
+                self.path = found
+                with diverging():
+                    rows[k] = (self._expand(phi + step * np.eye(len(phi))[k])[1] - gradient) / step
+        except Diverged:
+            rows = hessian
+        self.path = found
+        return (rows + rows.T) / 2
+
+    def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        if self._known is None or self._known[0] != phi.tobytes():
+            reached = self.path
+            try:
+                with diverging():
+                    found = self._expand(phi)
+                if not all(np.isfinite(each).all() for each in found):
+                    raise Diverged(NOT_FINITE)
+            except Diverged:
+                if self._known is None:
+                    raise
+                # Out of the linearisation's reach: the trust region shrinks.
+                self.path, self._whole = reached, None
+                return 1e10, np.zeros_like(phi), np.eye(len(phi))
+            self._known = (phi.tobytes(), found)
+        return self._known[1]
+
+    def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Value, gradient and Hessian at φ.
+
+        Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are twice as
+        many, they are computed every ``FRESH`` evaluations; in between, the last correlations stand.
+        """
+        model, size = self.at(phi), len(phi)
+        # From the last mode always: from the start the search may end at another one, and evidences would not compare.
+        mode = gauss_newton(model, self.observations, start=self.path)
+        # One pass: more of them can run away where the posterior is very wide.
+        smoother = posterior_linearisation(model, self.observations, mode, 1)
+        self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
+
+        unit = STEP * np.eye(size)
+        few = size * (size - 1) / 2 <= 2 * (2 * size + 1)
+        whole = few or self._whole is None or self._age >= FRESH
+        first, second = np.triu_indices(size if whole else 0, 1)
+        shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
+        covariance = smoother.covariance()
+        evidence, paths = self._shifted(phi, shifts, smoother.path, covariance, 1 + 2 * size)
+        middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
+        slope = (paths[:, 1 : 1 + size] - paths[:, 1 + size :]) / (2 * STEP)
+        self._moves = slope, covariance.diagonal(dim1=-2, dim2=-1).numpy()
+        precision = 1 / self.sd**2
+        gradient = phi * precision - (up - down) / (2 * STEP)
+        diagonal = precision - (up + down - 2 * middle) / STEP**2
+        if whole or self._whole is None:
+            hessian = np.diag(diagonal)
+            hessian[first, second] = hessian[second, first] = -(pairs - up[first] - up[second] + middle) / STEP**2
+            self._whole, self._age = hessian, 0
+        else:
+            hessian, self._age = _with_diagonal(self._whole, diagonal), self._age + 1
+        value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
+        return -value, gradient, hessian
+
+    def around(self, phi: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, Tensor]:
+        """Log-evidence (B,) at ``others`` (B, P), linearised over the posterior at φ, and where their modes are about.
+
+        Paths are (B, T, D).
+        """
+        model = self.at(phi)
+        mode = gauss_newton(model, self.observations, start=self.path)
+        smoother = posterior_linearisation(model, self.observations, mode, 1)
+        covariance = smoother.covariance()
+        evidence, paths = self._shifted(phi, others - phi, smoother.path, covariance, len(others))
+        return evidence, mode.path + torch.as_tensor(paths[0])
+
+    def moved(self, step: np.ndarray) -> Tensor:
+        """By how much the mean path (T, D) moves with a ``step`` (P,) of φ from where it was evaluated last."""
+        assert self._moves is not None
+        return torch.as_tensor(np.einsum("p,ptd->td", step, self._moves[0][0]))
+
+    def scatter(self, covariance: np.ndarray) -> np.ndarray:
+        """Squared error (D,), as a share, of a state's variance where one φ is drawn, of a ``covariance`` C (P, P).
+
+        With slopes J of the mean path, φ adds a share b = ⟨J C Jᵀ / P⟩ to a variance P (Kass & Steffey 1989, JASA 84,
+        717), an average over rows, and one draw of it tells b up to √2 b. With slopes of a draw's way from the mean,
+        that is √P u for a u that stays, the same average is a quarter of the variance v² of log P: 2 b² + v².
+        """
+        assert self._moves is not None
+        slopes, variance = self._moves
+        added = np.einsum("sptd,pq,sqtd->std", slopes, covariance, slopes, optimize=True)
+        share = np.divide(added, variance, out=np.zeros_like(added), where=variance > 0).mean(1)
+        return np.nan_to_num(2 * share[0] ** 2 + 4 * share[1], nan=np.inf)
+
+    def _shifted(
+        self, phi: np.ndarray, shifts: np.ndarray, path: Tensor, covariance: Tensor, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Log-evidence (B,) at φ + ``shifts`` (B, P), all linearised over N(path, covariance).
+
+        And of the first ``count`` sets mean paths, in deviations from ``path``, and draws from those, (2, count, T, D).
+        """
+        slopes = self._slopes_of_means(phi, path, covariance)
+        found: list[np.ndarray] = []
+        paths: list[np.ndarray] = []
+        at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
+        for some in np.array_split(shifts, -(-len(shifts) // at_once)):
+            centre, around = (each.expand(len(some), *each.shape) for each in (path, covariance))
+            moved, seen = (self._shared_means(phi, some, each) for each in slopes)
+            linear = fit_linear(self.at(phi + some), self.observations, centre, around, moved, seen)
+            mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise)
+            found.append(evidence)
+            paths.append(np.stack([mean, drawn])[:, : max(0, count - sum(map(len, found[:-1])))])
+        return np.concatenate(found), np.concatenate(paths, 1)
+
+    def _slopes_of_means(self, phi: np.ndarray, path: Tensor, covariance: Tensor) -> list[np.ndarray]:
+        """Which parameters move the means of transitions, and of emissions: (P, 1 + free), not 0 where they do."""
+        each = np.zeros((1 + len(self.free), len(phi)))
+        for row, index in zip(each[1:], self.slices, strict=True):
+            row[index] = STEP
+        path, covariance = (values.expand(len(each), *values.shape) for values in (path, covariance))
+        moving = moved_means(self.at(phi + each), path, covariance)
+        return [each.T @ np.where(those, 1 / STEP, 0.0) for those in moving]
+
+    def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, moves: np.ndarray) -> SharedMeans:
+        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P)."""
+        fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
+        return SharedMeans(self.at(phi + fewer), torch.as_tensor(number))
+
+
+def _with_diagonal(hessian: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """A Hessian (P, P) with another ``diagonal`` (P,) and its own correlations."""
+    ratio = np.sqrt(np.abs(diagonal) / np.maximum(np.abs(np.diagonal(hessian)), np.finfo(float).tiny))
+    found = ratio[:, None] * hessian * ratio
+    np.fill_diagonal(found, diagonal)
+    return found
