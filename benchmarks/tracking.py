@@ -23,7 +23,6 @@ import numpy as np
 import torch
 from sensor_cases import film as recorded_film
 
-from invdyn.film_commands import surprise
 from invdyn.inference import infer, pooled
 from invdyn.models import Body
 from invdyn.recordings import Recording, read_table
@@ -33,6 +32,7 @@ from invdyn.recordings.tracking.film import Film
 from invdyn.recordings.tracking.labels import Labels
 from invdyn.recordings.tracking.tracker import track_film
 from invdyn.recordings.tracking.training import examples, train
+from invdyn.surprise import surprise
 
 DATA = Path(os.environ["INVDYN_DATA"])
 FAR = 20.0  # px of 1,080

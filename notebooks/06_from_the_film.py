@@ -42,7 +42,6 @@ import numpy as np
 import torch
 
 from invdyn.film import write_mp4
-from invdyn.film_commands import surprise
 from invdyn.inference import infer, pooled
 from invdyn.models import Body, Joint, Link, planar_body
 from invdyn.plots import BLUE, GREY, PURPLE, STYLE, VERMILION
@@ -55,6 +54,7 @@ from invdyn.recordings.tracking.labels import Labels
 from invdyn.recordings.tracking.tracker import track_film
 from invdyn.recordings.tracking.training import examples, train
 from invdyn.simulate import random_arm, record
+from invdyn.surprise import surprise
 
 plt.rcParams.update(STYLE | {"figure.constrained_layout.use": True, "figure.dpi": 90})
 torch.set_num_threads(1)

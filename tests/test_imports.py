@@ -1,6 +1,7 @@
 """Imports go one way, and never in a circle; read from the source, so that lazy imports count too."""
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -227,3 +228,27 @@ def test_every_name_in_all_exists():
         module = importlib.import_module(f"invdyn.{room}")
         assert not [name for name in module.__all__ if not hasattr(module, name)]
         assert sorted(set(module.__all__)) == sorted(module.__all__)
+
+
+def is_module(name):
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("folder", ["notebooks", "benchmarks", "docs"])
+def test_scripts_import_names_that_are_there(folder):
+    """Benchmarks run by hand alone, and would show it then."""
+    missing = set()
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").startswith("invdyn"):
+                module = importlib.import_module(node.module)
+                missing |= {
+                    f"{path.name}: {node.module}.{name.name}"
+                    for name in node.names
+                    if not (hasattr(module, name.name) or is_module(f"{node.module}.{name.name}"))
+                }
+    assert not missing
