@@ -32,7 +32,7 @@ COMMANDS = {
         *("simulate", *ARM, "--commanded", "--fps", "100", "--duration", "3"),
         *("--out", "log.csv"),
     ),
-    "check": ("check", "log.csv", *ARM),
+    "check": ("check", "paper_planar_arm", "log.csv"),
     "diagnose": ("diagnose", "log.csv", *ARM, "--out", "found"),
 }
 """Words of each command, in the order in which they need each other's files."""
