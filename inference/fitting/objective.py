@@ -33,6 +33,9 @@ from invdyn.models.observation.missing import is_gaussian
 STEP = 2e-3
 """Finite-difference step of a log-parameter: lengths are known to a part in a thousand, and the evidence is smooth."""
 
+REPAIR = 1e-9
+"""Of :func:`.chain_posterior`: second differences divide what rounding leaves of an evidence by ``STEP`` squared."""
+
 GRADIENT_STEP, MAX_GRADIENT_STEP = 0.25, 0.1
 """How far the gradient is looked at from an optimum: in standard deviations of a parameter, and of its logarithm."""
 
@@ -218,7 +221,7 @@ class Objective(Generic[M]):
             centre, around = (each.expand(len(some), *each.shape) for each in (path, covariance))
             moved, seen = (self._shared_means(phi, some, each) for each in slopes)
             linear = fit_linear(self.at(phi + some), self.observations, centre, around, moved, seen)
-            mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise)
+            mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise, repair=REPAIR)
             found.append(evidence)
             paths.append(np.stack([mean, drawn])[:, : max(0, count - sum(map(len, found[:-1])))])
         return np.concatenate(found), np.concatenate(paths, 1)

@@ -107,7 +107,7 @@ def test_the_controlled_guide_is_exact_on_linear_models(chain, y, dtype, particl
     filters = ParticleFilter(model, Controlled(model, y), particles, num_filters=3)
     log_evidence, _ = run(filters, y, way)
     exact = oracles.kalman(chain, y.double().numpy())[0]
-    tolerance = 1e-8 if dtype == F64 else 1e-4  # rounding: the guide's mean is of a banded Cholesky factor
+    tolerance = 1e-8 if dtype == F64 else 1e-4  # slopes are by differences
     assert log_evidence.tolist() == pytest.approx([exact] * 3, abs=tolerance)
 
 
