@@ -310,7 +310,8 @@ def equally_weighted(idata: az.InferenceData, log_weights: Tensor, chains: int) 
         data = idata[group]
         drawn = {name: laid_out(values) for name, values in data.data_vars.items() if {*DRAWS} <= {*values.dims}}
         data = data.drop_vars([*drawn, *(dim for dim in DRAWS if dim in data.coords)]).assign(drawn)
-        idata[group] = data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS})
+        # An item that is set would stand twice among the groups.
+        setattr(idata, group, data.assign_coords({dim: np.arange(data.sizes[dim]) for dim in DRAWS}))
     idata.attrs["draws"] = "equally weighted"
     return idata
 

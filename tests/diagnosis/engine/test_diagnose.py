@@ -1,6 +1,7 @@
 """Grippers, closed loops, feet and muscles whose simulation has one wrong number: it is named, estimated, written."""
 
 import json
+from types import SimpleNamespace
 
 import legs
 import linkages
@@ -9,12 +10,15 @@ import muscled_arms
 import numpy as np
 import pytest
 
+from invdyn.diagnosis.engine import diagnose as DIAGNOSE
 from invdyn.diagnosis.engine.diagnose import diagnose_engine
 from invdyn.diagnosis.engine.write_back import copies, write_back
 from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.report.sentences import kind, verdict
+from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Scene
-from invdyn.recordings import InputError
+from invdyn.models.divergence import Diverged
+from invdyn.recordings import InputError, Recording
 
 CASES = {"holding": (linkages.HOLDING, linkages.grasp), "rubbing": (linkages.RUBBING, linkages.rub)}
 
@@ -160,6 +164,32 @@ def test_what_does_not_fit_is_refused():
     short = diagnose_engine(recording.at(slice(0, 10)), scene)
     assert short.not_enough_data is not None
     assert "10 rows" in short.not_enough_data
+
+
+def test_every_refused_recording_is_said():
+    scene = Scene.of(linkages.HOLDING)
+    time, shown = 0.01 * np.arange(400), 0.01 * np.sin(np.arange(400) * 0.02)[:, None]
+    logs = []
+    for value in (0.7, -0.8):  # another publisher's rows
+        angles = shown.copy()
+        angles[::9] = value
+        logs.append(Recording(time, np.empty((400, 0, 3)), (), angles=angles, joint_names=("left",)))
+    with pytest.warns(UserWarning, match="by --force"):
+        said = DIAGNOSE._checked(logs, scene, True, DEFAULT)
+    assert all(value in said[DIAGNOSE.REFUSED] for value in ("0.7", "-0.8"))
+
+
+def test_a_held_out_log_that_the_simulation_cannot_follow_is_another_robots(monkeypatch):
+    def runs_away(*_):
+        raise Diverged("the simulation runs away")
+
+    monkeypatch.setattr(DIAGNOSE, "filtered_with", runs_away)
+    cause = SimpleNamespace(kappa=[1.0], effects=(), values=np.zeros(0))
+    log, other = (
+        SimpleNamespace(observations=np.zeros((3, 1)), recording=SimpleNamespace(name=name)) for name in ("a", "b")
+    )
+    with pytest.raises(InputError, match="b: the simulation runs away: it is not held-out data of the same robot"):
+        DIAGNOSE._closed(log, cause, cause, 0, other)
 
 
 @pytest.mark.long

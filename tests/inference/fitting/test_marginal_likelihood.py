@@ -119,6 +119,24 @@ def test_a_fit_that_begins_elsewhere_ends_at_the_same_optimum(chain, y):
     assert objective.parameters.of(plain.model.parameters) == pytest.approx(plain.phi, abs=1e-9)
 
 
+@pytest.mark.parametrize("uphill", [False, True])
+def test_a_last_step_that_gains_much_is_looked_at(monkeypatch, chain, y, uphill):
+    """Its gain is what is found there, and not what was foreseen; where that is worse, the fit stays."""
+    step = Objective.last_step
+
+    def far(self, phi):
+        found = step(self, phi)
+        return None if found is None else (found[0] - 5.0 * uphill, found[1] + 1.0)
+
+    monkeypatch.setattr(Objective, "last_step", far)
+    rows = torch.as_tensor(y)
+    found = fit(chain.model(STEPS), rows, FREE)
+    there = Objective(chain.model(STEPS), rows, FREE, None)
+    exact = -there.value(found.phi) + 0.5 * ((found.phi / there.sd) ** 2).sum()
+    assert found.log_evidence == pytest.approx(exact, abs=1e-6)
+    assert np.abs(found.phi).max() < 5.0
+
+
 def test_entries_apart():
     """Every entry of a parameter that is not tied has its own factor."""
     one = np.eye(2)

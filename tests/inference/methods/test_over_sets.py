@@ -132,11 +132,13 @@ def noise_of_chains(idata):
     return spread.std(("draw", "time", "keypoint", "space")).values
 
 
-def test_draws_are_of_each_set_by_its_weight(sets):
-    """A set whose evidence is e times that of each of the other two has a share of e/(e + 2) of the draws."""
+@pytest.mark.parametrize("per_task", [20, 60])
+def test_draws_are_of_each_set_by_its_weight(sets, per_task):
+    """In tasks of one set, and of all; with evidence e times the others' its share is e/(e + 2)."""
     problem, noisy = of_noises(sets)
     uneven = [replace(each, offset=each.offset + bonus) for each, bonus in zip(noisy, (0.0, 1.0, 0.0), strict=True)]
-    idata = over_sets("laplace", problem, uneven, options=SMCOptions(60, 10, 40), seed=0)
+    options = SMCOptions(60, 10, 40, filters_per_task=per_task)
+    idata = over_sets("laplace", problem, uneven, options=options, seed=0)
     share = np.mean(np.abs(noise_of_chains(idata) - 0.004) < 0.001)
     assert share == pytest.approx(np.e / (np.e + 2), abs=1.5 / 60)  # resampled systematically
 

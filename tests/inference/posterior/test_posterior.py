@@ -18,7 +18,7 @@ from invdyn.inference import (
     pooled,
     save_posterior,
 )
-from invdyn.inference.posterior.posterior import combine, to_inference_data
+from invdyn.inference.posterior.posterior import combine, stored_dtype, to_inference_data
 from invdyn.models import Link, planar_body
 from invdyn.models.observation.missing import observed_log_prob
 from invdyn.recordings import InputError, Recording, Truth
@@ -250,11 +250,19 @@ def test_parts_are_combined_by_their_evidence():
         }
         return to_inference_data(problem, paths[chains], replace(result, **own), method="smc", seed=1, settings={})
 
-    idata = combine([part(slice(0, 2)), part(slice(2, 4))], seed=3)
+    parts = [part(slice(0, 2)), part(slice(2, 4))]
+    assert all(len(each.groups()) == len({*each.groups()}) for each in parts)
+    idata = combine(parts, seed=3)
+    assert not any(group in each.groups() for each in parts for group in ("posterior", "log_likelihood"))
     share = float(evidence[:2].exp().sum() / evidence.exp().sum())
     first = (chosen(paths, idata) < 2 * R).sum()
     assert abs(first - share * M * R) < 1
     assert idata.attrs["log_evidence"] == pytest.approx(float(evidence.exp().mean().log()))
+
+
+def test_a_part_of_a_long_posterior_is_as_precise_as_the_whole():
+    assert stored_dtype(64, 4, 10_000, 6) == stored_dtype(1, 4, 10_000, 6) == torch.float32
+    assert stored_dtype(64, 4, 100, 6) == torch.float64
 
 
 @pytest.mark.parametrize("doubt", ["", "its bound is low"])
