@@ -39,7 +39,7 @@ class Cause:
     Attributes:
         effects: candidates; none for "no gap".
         point: (p,) the numbers with which the log was filtered.
-        values, covariance: (p,), (p, p) their posterior under the likeliest size.
+        values, covariance: (p,), (p, p) their posterior under the most probable size.
         by_size_values, by_size_sds: (G, p) the same for each size.
         prior_mean, prior_sd: (p,).
         by_size: (G,) log evidence for each size of the residual, without its prior.
@@ -71,17 +71,17 @@ class Cause:
         return float(logsumexp(self.by_size + log.regime.log_prior))
 
     def likely(self, log: EngineLog) -> int:
-        """Number of the likeliest size."""
+        """Number of the most probable size."""
         return int((self.by_size + log.regime.log_prior).argmax())
 
     def size(self, log: EngineLog) -> float:
-        """The likeliest residual, in typical torques."""
+        """The most probable residual, in typical torques."""
         return float(log.regime.sizes[self.likely(log)])
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A candidate beside a cause: log evidence, its numbers (n,), and d′ of a change of typical size."""
+    """A candidate next to a cause: log evidence, its numbers (n,), and d′ of a change of typical size."""
 
     effect: Candidate
     log_evidence: float
@@ -208,7 +208,7 @@ def refined(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) ->
     )
     best = _about(log, effects, np.clip(values, low, high))
     for _ in range(FIXED.engine_rounds if len(values) else 0):
-        # Where the likeliest size is settled, without a residual there may be a sharper estimate.
+        # Where the most probable size is settled, without a residual there may be a sharper estimate.
         for size in dict.fromkeys((best.likely(log), 0)):
             better = _better(log, best, np.clip(best.by_size_values[size], low, high), best.by_size_sds[size])
             if better is not None:

@@ -172,7 +172,7 @@ def _assembled(log: EngineLog, found: Found, seed: int, other: EngineLog | None)
 def _answers(log: EngineLog, found: Found, large: bool, seed: int) -> tuple[tuple[Answer, ...], float, float]:
     """Causes, most probable first; the probability of what no effect is, and that of a gap.
 
-    Where the gap is not ``large``, nothing is left beside a cause.
+    Where the gap is not ``large``, nothing is left next to a cause.
     """
     evidence = log.rules.evidence
     alone, in_part, outside, probability = found.alone, found.in_part, found.outside, 1 - found.alone[""]
@@ -195,7 +195,7 @@ def _answers(log: EngineLog, found: Found, large: bool, seed: int) -> tuple[tupl
 
 
 def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and sd (T, K) of the residual torque under the likeliest size."""
+    """Mean and sd (T, K) of the residual torque under the most probable size."""
     size, width = cause.likely(log), log.model.inputs.size
     return cause.filtered.mean[size, :, :width], cause.filtered.sd[size, :, :width]
 
@@ -226,7 +226,7 @@ def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Fi
 
 
 def _experiment(found: Found) -> str | None:
-    """Recordings that tell the likeliest causes apart."""
+    """Recordings that tell the most probable causes apart."""
     likely = [each for each in found.causes if found.alone[each.key] + found.in_part[each.key] > 0.05 and each.effects]
     wanted = list(dict.fromkeys(effect.effect.shown_by for each in likely for effect in each.effects))
     return f"Record {'; and '.join(wanted)}." if len(likely) > 1 else None

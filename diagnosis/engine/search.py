@@ -27,7 +27,7 @@ class Found:
         none: the simulation as it is.
         causes: best first, "no gap" among them.
         alone, in_part: by a cause's key.
-        first: candidates beside "no gap".
+        first: candidates next to "no gap".
         temper: ζ between causes.
     """
 
@@ -66,7 +66,7 @@ def search(log: EngineLog, candidates: Sequence[Candidate], most: int) -> Found:
 
 
 def _refine(log: EngineLog, pool: dict[str, Cause], beside: Cause, ranked: Sequence[Screened], most: int) -> None:
-    """Refine the best of what was screened beside a cause, and add them to the pool."""
+    """Refine the best of what was screened next to a cause, and add them to the pool."""
     rules, start = log.rules.search, beside.log_evidence(log)
     gained = 0.0
     for number, each in enumerate(ranked[:most]):
@@ -123,7 +123,7 @@ def _score(log: EngineLog, cause: Cause, temper: float, every: Sequence[Candidat
 
 
 def _share(log: EngineLog, cause: Cause, none: Cause, temper: float) -> float:
-    """Posterior share of residuals that do not matter beside a cause."""
+    """Posterior share of residuals that do not matter next to a cause."""
     if leaves(log, cause, none):
         return 0.0
     tolerance, small = log.rules.evidence.tolerance, log.rules.residual.max_share_left

@@ -58,7 +58,7 @@ class ChangeTest:
     def add(self, innovation: np.ndarray) -> bool:
         """Take the innovation (O,) of a row, and return whether there is an alarm.
 
-        ``log_ratio`` is log R_t, and ``since`` the number of rows since the likeliest change.
+        ``log_ratio`` is log R_t, and ``since`` the number of rows since the most probable change.
         """
         z = np.asarray(innovation, dtype=float) / SLACK
         seen = np.isfinite(z)

@@ -1,4 +1,4 @@
-"""Whatever MuJoCo loads as a state-space model: its own step is the transition's mean.
+"""A file that MuJoCo loads, as a state-space model: its own step is the transition's mean.
 
     x = (z, δ, v, a),    (δ, v, a)_t = step(x_{t−1}) + noise,    z_t by a torque process,    y_t ~ observation(x_t)
 
