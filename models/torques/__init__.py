@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 
 from invdyn.models.torques.base import TorqueProcess
-from invdyn.models.torques.matern import Matern32, Matern52, SmoothAndRough
+from invdyn.models.torques.matern import Matern32, Matern52
 from invdyn.models.torques.ornstein_uhlenbeck import OrnsteinUhlenbeck, RandomWalk
 from invdyn.models.torques.recurrent import Recurrent
+from invdyn.models.torques.smooth_and_rough import SmoothAndRough
 
 TORQUE_PROCESSES: dict[str, type[TorqueProcess]] = {
     "ornstein_uhlenbeck": OrnsteinUhlenbeck,
