@@ -65,7 +65,7 @@ def _of_version_02(idata: az.InferenceData) -> az.InferenceData:
     """A file of version 0.2 or before, as it is laid out now: a chain was a filter, and had a weight."""
     if missing := {"posterior", "posterior_predictive", "sample_stats"} - set(idata.groups()):
         raise InputError(f"no posterior of invdyn: it lacks {', '.join(sorted(missing))}")
-    idata.sample_stats = idata["sample_stats"].rename(chain="filter")
+    idata = idata.map(lambda data: data.rename(chain="filter"), groups="sample_stats")
     sizes = [idata["posterior"].sizes[dim] for dim in DRAWS]
     weights = torch.as_tensor(idata["sample_stats"]["log_weight"].values).repeat_interleave(sizes[1])
     with seeded(int(idata.attrs.get("seed", 0))):
