@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import halfnorm, norm
+from scipy.stats import chi2, halfnorm, norm
 
 from invdyn.inference.study.pooling import Mixture, Pooled, _given, _prior_scales, confounded, groupings, pool
 
@@ -72,6 +72,31 @@ def test_the_spreads_are_integrated_out_as_on_a_grid():
     assert found.direction == pytest.approx(exact.direction, abs=0.01)
 
 
+@pytest.mark.parametrize("of_cells", [0.0, 1.0])
+def test_the_scales_of_the_priors_are_those_of_sums_of_squares(of_cells):
+    """Of three subjects under two conditions, by row and column means; cells that differ by more have the limit."""
+    trials = np.tile([-0.1, 0.1], (3, 2, 1))
+    level, effect = np.array([-2.0, 0.5, 1.5])[:, None, None], np.array([-0.4, 0.4])[None, :, None]
+    cells = of_cells * np.array([1.0, -3.0, 2.0])[:, None, None] * effect
+    y = (level + effect + cells + trials).reshape(-1)
+    subjects, conditions = (np.unique(each, return_inverse=True)[1] for each in (SUBJECT, CONDITION))
+    groups = groupings(CONDITION, SUBJECT, ONE)
+    found = _prior_scales(y, np.full(12, 1e-6), conditions, {"subject": subjects, "session": subjects}, groups)
+    of_effect = np.sqrt(((cells + trials) ** 2).sum() / 8 / 2)
+    limit = np.sqrt((cells[..., 0] ** 2).sum() / chi2.ppf(0.25, 2))
+    expected = [(effect + cells + trials).std(), y.std(), max(of_effect, limit)]
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_sessions_of_two_subjects_are_two_even_if_they_share_a_name():
+    subject, session = np.repeat(["a", "b"], 8), np.tile(np.repeat(["1", "2"], 4), 2)
+    y = np.repeat([0.0, 2.0, 5.0, 9.0], 4) + np.tile([-0.1, 0.1], 8)
+    labels = np.tile(["x", "x", "y", "y"], 4), subject
+    own = pool(y, np.full(16, 0.05), *labels, session, 64).difference("x", "y")
+    named = pool(y, np.full(16, 0.05), *labels, np.char.add(subject, session), 64).difference("x", "y")
+    assert own.sd == pytest.approx(named.sd)
+
+
 @pytest.mark.parametrize("count", [3, 4])
 def test_few_trials_of_one_subject_have_intervals_that_hold_the_truth(count):
     """As by Student's t; 300 studies without an effect, so that a share of .9 is known to .02."""
@@ -91,6 +116,13 @@ def test_equal_estimates_have_no_difference_and_the_width_of_their_errors(value)
     own = pool(np.full(8, value), np.full(8, 0.02), *map(list, labels), 256).difference("x", "y")
     assert own.mean == pytest.approx(0.0, abs=1e-9)
     assert 0.02 / np.sqrt(2) < own.sd < 0.08
+
+
+@pytest.mark.parametrize("error", [0.02, 0.0])
+def test_one_equal_trial_of_each_subject_is_enough(error):
+    own = pool(np.ones(3), np.full(3, error), list("xyx"), list("abc"), list("111"), 64).difference("x", "y")
+    assert own.mean == pytest.approx(0.0, abs=1e-9)
+    assert error / 2 <= own.sd < 5 * error + 1e-8
 
 
 def test_exactly_additive_estimates_are_as_unsure_as_their_errors():
