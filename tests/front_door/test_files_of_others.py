@@ -100,6 +100,7 @@ def test_drawn_inputs(tried, capsys, part):
     assert sum(count[kind, "tried"] for kind in KINDS) >= 90
 
 
+@pytest.mark.filterwarnings("default")
 def test_a_file_that_is_read_twice_warns_once(run, data_folder, tmp_path):
     """The first reading tells the plane from space; the second is the one that is used."""
     folder = data_folder / "opensim_arm26"
