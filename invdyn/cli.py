@@ -19,7 +19,8 @@ from .film_commands import label, track, train
 from .inference_options import Inference, kinematic_arguments, open_workers
 from .live_commands import live
 from .model_commands import compare_model
-from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Recipe, Replicates, Seed
+from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
+from .recipes import Recipe
 from .robot_commands import check
 from .settings import GroupedCommand, Setting, with_settings
 from .study_commands import trials
@@ -260,9 +261,9 @@ def diagnose(
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
         files = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
         check_folder(copies, [copies / "randomisation.json", *files], given.files)
-    if (played := engine_log_of(given, engine)) is not None:
+    if (log := engine_log_of(given, engine)) is not None:
         with ProgressBar() as progress:
-            diagnosis, members = diagnose_by_engine(given, *played, progress, write_back, count)
+            diagnosis, members = diagnose_by_engine(given, *log, progress, write_back, count)
         with new_folder(out), whole_set():
             if copies is not None:
                 with new_folder(copies):

@@ -40,7 +40,7 @@ SETS, DF, WIDENING = 1024, 5.0, 1.3
 """Sets of τ; degrees of freedom of Student's t, and by how much it is wider than the sets' own spread."""
 MIN_ROUNDS, MAX_ROUNDS, MIN_SHARE = 2, 12, 0.15
 """Fits of Student's t, until the effective number of sets is that share of all: two, but for very precise trials."""
-MIN_SPREAD = 1e-4
+MIN_SD = 1e-4
 """Of the scale: below it an sd counts as none."""
 OF_TRIALS = 2.0
 """Of the scale: prior scale of the spread between trials."""
@@ -148,7 +148,7 @@ def pool(
     whose["session"] = _numbered(list(zip(subject, session, strict=True)))
     scale, *others = _prior_scales(y, s, own, whose, groups)
     log_scale = np.log([OF_TRIALS * scale, *others]) - np.log(scale)
-    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
+    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SD)
     design = _indicators(own, *groups.values())
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
     log_tau = _prior_points(log_scale, sets)
@@ -212,7 +212,7 @@ def _prior_scales(
     s = np.maximum(s, 1e-9 * (np.abs(y).max() or 1.0))  # what is left of equal estimates by rounding is nothing
     squares, free = _left(y, s**2, whose["subject"])
     scale = float(np.sqrt(squares / len(y))) if free else max(spread, float(s.mean()))
-    s = np.maximum(s, MIN_SPREAD * scale)
+    s = np.maximum(s, MIN_SD * scale)
     squares, free = _left(y, s**2, whose["subject"], own)
     of_effect = float(np.sqrt(squares / free / 2)) if free else scale / np.sqrt(2)
     scales = [scale]
@@ -273,7 +273,7 @@ def _student_points(dimensions: int, count: int) -> np.ndarray:
 
 def _prior_points(log_scale: np.ndarray, count: int) -> np.ndarray:
     """Points log τ (G, d) of the prior, whose scales are e^log_scale (d,)."""
-    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), MIN_SPREAD)) + log_scale
+    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), MIN_SD)) + log_scale
 
 
 def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,7 +284,7 @@ def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray
     covariance = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
     shape = WIDENING**2 * covariance + 1e-3 * np.eye(dimensions)
     near = centre + _student_points(dimensions, count // 2) @ np.linalg.cholesky(shape).T
-    near = np.clip(near, np.log(MIN_SPREAD) + log_scale, np.log(8.0) + log_scale)
+    near = np.clip(near, np.log(MIN_SD) + log_scale, np.log(8.0) + log_scale)
     both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])
     # The density of log τ is that of a half-normal times τ.
     own = both - log_scale

@@ -10,7 +10,7 @@ from invdyn.cli import app
 from invdyn.inference import METHODS
 from invdyn.inference_options import AUTO
 from invdyn.models import FAMILIES, TORQUE_PROCESSES
-from invdyn.options import RECIPES
+from invdyn.recipes import RECIPES
 
 GUIDE = (ROOT / "docs" / "how-to" / "recipes.md").read_text("utf-8")
 
