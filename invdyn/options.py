@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .settings import Setting
+from .settings import Setting, yes
 
 MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
 MAX_WORKERS = 1024
@@ -32,9 +32,7 @@ Tracker = Annotated[
 ZeroTorque = Annotated[bool, typer.Option("--zero-torque", help="No torque acts: the body moves freely.")]
 Methods = Annotated[str, typer.Option(help="Such as smc,bootstrap; an unknown name lists them all.")]
 Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method, with different seeds.")]
-Isolate = Annotated[
-    bool, typer.Option("--isolate", help="Run each method in its own process, so that its memory is measured.")
-]
+Isolate = Annotated[bool, Setting("yes: each method in a process of its own, so that its memory is measured", yes)]
 Filters = Annotated[int, typer.Option(min=1, help="Independent filters.")]
 Particles = Annotated[int, typer.Option(min=1, help="Particles of each filter.")]
 Workers = Annotated[

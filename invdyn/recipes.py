@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 RECIPES: dict[str, dict[str, Any]] = {
-    "mouse": {"kinematic": True, "learn": ["lengths"], "noise": "student_t"},
+    "mouse": {"torque": "none", "learn": ["lengths"], "noise": "student_t"},
     "reach": {"noise": "student_t"},
     "panda": {"hide_torque": True, "method": "laplace"},
 }

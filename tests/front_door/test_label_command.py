@@ -52,7 +52,7 @@ def test_the_command_labels_and_continues(tmp_path, monkeypatch, run):
         server.take({"since": 0, "changes": changes})
 
     monkeypatch.setattr(LabelServer, "serve_forever", user)
-    call = ("label", "f.mov", "--out", "l.csv", "--count", "3", "--no-browser")
+    call = ("label", "f.mov", "--out", "l.csv", "--count", "3", "--set", "browser=no")
     outcome = run(*call)
     assert outcome.exit_code == 2
     assert outcome.stderr.startswith("error: expected --keypoints, the joints to label")
@@ -78,7 +78,7 @@ def test_labels_of_a_larger_film_are_not_continued(tmp_path, run):
     swinging(tmp_path / "film.mov", 5)
     write_labels(Labels(np.array([2]), np.full((1, 2, 2), 55.0), NAMES), tmp_path / "l.csv")
     before = (tmp_path / "l.csv").read_bytes()
-    said = run("label", tmp_path / "film.mov", "--out", tmp_path / "l.csv", "--no-browser")
+    said = run("label", tmp_path / "film.mov", "--out", tmp_path / "l.csv", "--set", "browser=no")
     assert said.exit_code == 2
     assert "l.csv: elbow of picture 2 lies outside its pictures of 40 × 40 px, at (55, 55)" in said.stderr
     assert (tmp_path / "l.csv").read_bytes() == before
