@@ -61,10 +61,10 @@ def _row(camera: str, keypoint: str, residuals: np.ndarray, weights: np.ndarray)
 
 def table(rows: Sequence[CameraErrors]) -> str:
     """Rows as text for people."""
-    head = f"{'camera':<14} {'keypoint':<16} {'pixels':>7} {'median':>7} {'90 %':>7} {'u':>7} {'v':>7} {'outliers':>7}"
+    head = f"{'camera':<14} {'keypoint':<16} {'pixels':>7} {'median':>7} {'90 %':>7} {'u':>7} {'v':>7} {'outliers':>9}"
     lines = [
         f"{row.camera:<14} {row.keypoint:<16} {row.pixels:>7} {row.median:>7.2f} {row.q90:>7.2f} {row.u:>7.2f} "
-        f"{row.v:>7.2f} {row.outliers:>7.1%}"
+        f"{row.v:>7.2f} {row.outliers:>9.1%}"
         for row in rows
     ]
     return "\n".join([head, *lines])

@@ -58,7 +58,7 @@ def test_triangulate(films, run):
     outcome = run(*TRIANGULATE, "--errors", "e.csv", "--set", "sd=sd.csv", "--calibration-out", "c.toml")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.splitlines()[0].split() == [
-        "camera", "keypoint", "pixels", "median", "90", "%", "u", "v", "strays",
+        "camera", "keypoint", "pixels", "median", "90", "%", "u", "v", "outliers",
     ]  # fmt: skip
     assert "100.0% of all points are known" in outcome.stdout
     recording = read_keypoint_csv(films / "arm.csv")
