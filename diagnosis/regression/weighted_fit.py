@@ -9,9 +9,11 @@ it may stick, under any torque. Which effects, and where, is decided by evidence
 (:mod:`.grouped_evidence`). What is left is taken to remember no more than the residual torque of a diagnosis does,
 e^{−20 t}, or the low-pass filter.
 
-With A = XᵀWX/σ² + Λ the covariance of β is A⁻¹ B A⁻¹, B the sum over blocks of rows of (Σ x w r/σ²)(…)ᵀ: blocks several
-correlation times long (Künsch 1989; White 1980). Effects that no log has in this form differ by more from one part of
-it to the next. So the sd of each β is at least that of a jackknife over F folds of neighbouring rows,
+Weights depend on what is left: where β changes by δ, w r changes by w (2ν/(ν + r²/σ²) − 1) xᵀδ. With h_j the weighted
+mean of this bracket over rows, and A = Σ_j h_j X_jᵀW_j X_j/σ_j² + Λ, the covariance of β is A⁻¹ B A⁻¹ (Huber 1981,
+ch. 7). B is the sum over blocks of rows of (Σ x w r/σ²)(…)ᵀ: blocks several correlation times long (Künsch 1989; White
+1980). Effects that no log has in this form differ by more from one part of it to the next. So the sd of each β is at
+least that of a jackknife over F folds of neighbouring rows,
 
     s² = (F − 1)/F Σ_f (β_(−f) − mean)²,     F − 1 degrees of freedom                    (Shao & Wu 1989)
 
@@ -19,7 +21,7 @@ Neither shows a torque that no effect explains and that looks like one from the 
 t_j that is tolerated at joint j it is not looked for. A sum aᵀβ of coefficients is shifted by no more than (Cauchy's
 inequality at each joint)
 
-    Σ_j √(aᵀ A⁻¹ C_j A⁻¹ a),     C_j = R Σ_t (w t_j/σ_j²)² x xᵀ
+    Σ_j √(aᵀ A⁻¹ C_j A⁻¹ a),     C_j = R Σ_t (h_j w t_j/σ_j²)² x xᵀ
 
 which is added to its sd as of a discrepancy (Kennedy & O'Hagan 2001).
 
@@ -142,9 +144,16 @@ def _weights(
     effects: LinearEffects, columns: np.ndarray, values: np.ndarray, left: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """(R, K); see the top of the file."""
-    unknown = effects.variance.torque(columns, values**2) / noise**2
-    spread, tail = 1 + unknown, FIXED.regression_tail
-    return (tail + 1) / (tail + left**2 / noise**2 / spread) / spread
+    tails, spread = _tails(effects, columns, values, left, noise)
+    return tails / spread
+
+
+def _tails(
+    effects: LinearEffects, columns: np.ndarray, values: np.ndarray, left: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(R, K) of heavy tails, and by how much rows are less sure for what the smoother does not know."""
+    spread, tail = 1 + effects.variance.torque(columns, values**2) / noise**2, FIXED.regression_tail
+    return (tail + 1) / (tail + left**2 / noise**2 / spread), spread
 
 
 def correlation_times(left: np.ndarray, stretch: np.ndarray) -> np.ndarray:
@@ -186,18 +195,23 @@ def _covariance(
     columns, noise = list(chosen.columns), chosen.noise
     if not columns:
         return np.zeros((0, 0)), np.zeros((len(noise), 0, 0))
-    own = gram[:, columns][:, :, columns] / noise[:, None, None] ** 2
+    left, tail = left_by(effects, chosen), FIXED.regression_tail
+    tails, _ = _tails(effects, np.array(columns), chosen.values, left, noise)
+    slope = 2 * tail / (tail + 1) * (weights * tails).sum(0) / np.maximum(weights.sum(0), 1e-300) - 1
+    fixed = gram[:, columns][:, :, columns] / noise[:, None, None] ** 2
+    own = slope[:, None, None] * fixed
     prior = np.diag([1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every])
     inverse = _inverse(own.sum(0) + prior)
     length = int(min(max(np.ceil(4 * tau.max()), 1), max(len(weights) // 8, 1)))
     block = np.unique(stretch * len(weights) + np.arange(len(weights)) // length, return_index=True)[1]
-    sums = effects.columns.block_sums(weights / noise**2 * left_by(effects, chosen), block)[:, columns]
+    sums = effects.columns.block_sums(weights / noise**2 * left, block)[:, columns]
     robust = inverse @ (sums.T @ sums) @ inverse * len(block) / max(len(block) - 1, 1)
-    without = choice.left_out(chosen)
+    without = choice.left_out(chosen) @ (fixed.sum(0) + prior) @ inverse  # by weights that follow
     jackknife = (len(without) - 1) * without.var(0)
     least = np.maximum(np.diag(_inverse((own / tau[:, None, None]).sum(0) + prior)), jackknife)
     grow = np.sqrt(np.maximum(least / np.maximum(np.diag(robust), 1e-300), 1.0))
-    worst = effects.columns.sums(effects.missing, len(weights) * (weights / noise**2 * choice.tolerated) ** 2)[0]
+    shifted = len(weights) * (slope * weights / noise**2 * choice.tolerated) ** 2
+    worst = effects.columns.sums(effects.missing, shifted)[0]
     return robust * grow[:, None] * grow, inverse @ worst[:, columns][:, :, columns] @ inverse
 
 

@@ -14,8 +14,7 @@ from ..errors import InputError
 from ..recording import Recording
 from .bundle import bundle_adjust
 from .camera import Calibration
-from .exchanged_cameras import suspicion
-from .reprojection import CameraErrors, reprojection
+from .reprojection import CameraErrors, reprojection, suspicion
 from .triangulate import triangulate
 from .views import Views
 

@@ -1,23 +1,19 @@
 """Torque and replay of both answers on rows that neither has seen, and which of them is shown."""
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from regressed import BODY, friction, recorded
 
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, measured
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.sentences import interim, regression_words
 from invdyn.models.effects import EFFECTS
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "regression"))
-from test_regress import BODY, friction, recorded
 
 
 @pytest.fixture(scope="module")
