@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from . import arviz_on_demand
 from .blind_commands import blind
 from .camera_commands import calibrate, triangulate
 from .console import Commands, ProgressBar, check_ending, check_outputs, say
@@ -25,6 +26,7 @@ from .settings import GroupedCommand, Setting, with_settings
 from .study_commands import trials
 
 # What needs torch or matplotlib is imported inside the commands: `invdyn --help` answers at once.
+arviz_on_demand.register()
 
 app = typer.Typer(
     cls=Commands,

@@ -23,7 +23,6 @@ import arviz as az
 import numpy as np
 import torch
 from pyro.infer.smcfilter import SMCFailed
-from scipy.stats import multivariate_t
 from torch import Tensor
 
 from invdyn.diagnosis.kept_units import kept_unit
@@ -152,6 +151,8 @@ def _draw(problem: DiagnosisProblem, cause: FittedHypothesis, count: int, seed: 
     # In units of their own standard deviations: parameters differ by orders of magnitude.
     sd = np.maximum(cause.sd, 1e-6 * among.sd)
     shape, df = cause.covariance / np.outer(sd, sd) + 1e-8 * np.eye(p), problem.rules.outcome.proposal_degrees
+    from scipy.stats import multivariate_t  # half a second to import, which most runs do not need
+
     q = multivariate_t(np.zeros(p), shape, df=df)
     half = q.rvs(math.ceil(count / 2), random_state=np.random.default_rng(seed)).reshape(-1, p)
     values = cause.mean + sd * np.concatenate([half, -half])[:count]

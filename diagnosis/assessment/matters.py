@@ -17,7 +17,6 @@ Shapes: T rows, K joints.
 """
 
 import numpy as np
-from scipy.signal import savgol_filter
 from torch import Tensor
 
 from invdyn.diagnosis.problem.cause import FittedHypothesis
@@ -40,6 +39,8 @@ def tolerated(problem: DiagnosisProblem, path: Tensor) -> np.ndarray:
 
 def _jerk(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """The second derivative (…, K) rad/s³ of a velocity (T, K), on an even grid of its own."""
+    from scipy.signal import savgol_filter  # half a second to import, which most runs do not need
+
     first, last = float(time[0]), float(time[-1])
     count = max(round((FIXED.jerk_points - 1) * (last - first) / FIXED.jerk_span) + 1, FIXED.jerk_points)
     even, step = np.linspace(first, last, count, retstep=True)

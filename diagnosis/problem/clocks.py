@@ -17,7 +17,6 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from invdyn.diagnosis.rules import DEFAULT, Rules
@@ -73,6 +72,8 @@ def _places(log: Recording, film: Recording, body: ArticulatedBody, rules: Rules
     time, angles = log.time[known], torch.as_tensor(log.angles[known])
     order = [body.keypoint_names.index(name) for name in film.keypoint_names]
     numbers = body.completed(body.parameters())
+    from scipy.interpolate import CubicSpline  # half a second to import, which most runs do not need
+
     course = CubicSpline(time, dynamics_for(body).keypoints(angles, numbers).numpy()[:, order])
     apart = rules.check.max_log_gap * float(np.median(np.diff(time)))
 

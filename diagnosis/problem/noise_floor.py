@@ -23,7 +23,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import savgol_filter
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings.jitter import MEDIAN, differences, jitter
@@ -69,6 +68,8 @@ def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     time, track = time[seen], track[seen]
     if len(track) < FIXED.num_speed_bins * FIXED.min_bin_rows or usual == 0.0:
         return usual
+    from scipy.signal import savgol_filter  # half a second to import, which most runs do not need
+
     step = float(np.median(np.diff(time)))
     window = min(max(9, 2 * round(FIXED.velocity_span / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
     velocity = savgol_filter(track, window, FIXED.velocity_degree, deriv=1, delta=step, axis=0)

@@ -8,7 +8,6 @@ Shapes: R rows, K joints. Units: Hz, s.
 """
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.rules import FIXED
@@ -29,6 +28,8 @@ def cutoff_of(motion: MeasuredMotion) -> float:
 
 def low_passed(values: np.ndarray, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
     """Values (…, R, K) of a motion's rows through a Butterworth filter of order 4, forwards and backwards."""
+    from scipy.signal import butter, sosfiltfilt  # half a second to import, which most runs do not need
+
     edges = np.flatnonzero(np.diff(motion.stretch)) + 1
     found = []
     for time, each in zip(np.split(motion.time, edges), np.split(values, edges, axis=-2), strict=True):

@@ -25,8 +25,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import ndtri, stdtrit
 
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LEAST, LinearEffects, joints_of
@@ -197,8 +196,8 @@ def of_others(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
 def _times_unknown(value: float, sd: float, freedom: int) -> tuple[float, float]:
     """90 % interval of a number, of t's distribution, times a factor that is log-normal, as in :func:`_scaled`."""
     share = (np.arange(FIXED.regression_draws) + 0.5) / FIXED.regression_draws
-    own = value + sd * student_t.ppf(share, freedom)[:, None]
-    factor = np.exp(FIXED.servo_gain_sd * norm.ppf(share))
+    own = value + sd * stdtrit(freedom, share)[:, None]
+    factor = np.exp(FIXED.servo_gain_sd * ndtri(share))
     low, high = np.quantile(own * np.where(own > 0, factor, np.minimum(factor, 1.0)), (0.05, 0.95))
     return float(low), float(high)
 
@@ -247,7 +246,7 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
 
 
 def _estimate(value: float, sd: float, freedom: int) -> tuple[float, tuple[float, float]]:
-    half = float(student_t.ppf(0.95, freedom)) * sd
+    half = float(stdtrit(freedom, 0.95)) * sd
     return sd, (value - half, value + half)
 
 

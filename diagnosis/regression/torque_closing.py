@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from invdyn.diagnosis.rules import FIXED
 
@@ -65,7 +65,7 @@ def share_closed(before: np.ndarray, after: np.ndarray, *fitted: Errors) -> tupl
         return 1 - left, math.nan, math.nan
     residuals = 0.5 * (new / new.mean() - old / old.mean())
     sd = math.sqrt(2 / number * (residuals**2).sum() / freedom)
-    ratio = math.exp(float(student_t.ppf(0.95, freedom)) * sd)
+    ratio = math.exp(float(stdtrit(freedom, 0.95)) * sd)
     return 1 - left, 1 - left * ratio, 1 - left / ratio
 
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from invdyn.models.bodies.scalars import BodyError
 
@@ -55,6 +54,8 @@ def value(function: Element, at: float, where: str) -> float:
     if function.tag in ("SimmSpline", "NaturalCubicSpline", "PiecewiseLinearFunction"):
         x, y = (many(function, key, where) for key in ("x", "y"))
         if len(x) == len(y) >= 2 and (np.diff(x) > 0).all():
+            from scipy.interpolate import CubicSpline  # half a second to import, which most runs do not need
+
             straight = function.tag == "PiecewiseLinearFunction" or len(x) < 3
             return float(np.interp(at, x, y) if straight else CubicSpline(x, y, bc_type="natural")(at))
         raise BodyError(f"{where}: expected a curve with increasing x, and a y for each")

@@ -12,7 +12,7 @@ try:
     app()
 except SystemExit as ended:
     assert ended.code == 2, ended.code
-assert not {"torch", "arviz"} & {*sys.modules}, "imported"
+assert not {"torch", "arviz.data"} & {*sys.modules}, "imported"
 """
 
 
@@ -23,3 +23,26 @@ def test_a_wrong_unit_does_not_wait_for_torch(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 0, done.stderr
     assert "unknown unit 'furlong'" in done.stderr
+
+
+WHAT_COMMANDS_USE = """
+import sys
+import invdyn.cli
+import invdyn.diagnosis.check.visible
+import invdyn.outputs
+from invdyn.inference import infer
+loaded = {"arviz.plots", "arviz.stats", "scipy.signal", "scipy.stats", "torch._dynamo"} & {*sys.modules}
+assert not loaded, loaded
+
+import arviz.stats
+import arviz as az
+assert az.hdi is arviz.stats.hdi
+assert az.plot_trace is sys.modules["arviz.plots"].plot_trace
+assert az.InferenceData is sys.modules["arviz.data"].InferenceData
+"""
+
+
+def test_plots_and_statistics_of_arviz_come_when_asked_for():
+    command = [sys.executable, "-W", "ignore", "-c", WHAT_COMMANDS_USE]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
+    assert done.returncode == 0, done.stderr

@@ -149,6 +149,11 @@ class SpatialDynamics(Dynamics):
         self._check(qd=qd)
         return (self.jacobian(q, p) @ qd[..., None, :, None]).squeeze(-1)
 
+    def site_accelerations(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
+        """r̈ = J q̈ + J̇ q̇, m/s², (..., S, d)."""
+        found = self._evaluate("site_accelerations", p, q=q, qd=qd, qdd=qdd)
+        return found.unflatten(-1, (len(self.tree.keypoint_names), self.space))
+
     def _prepared(self, method: str, p: Any, with_own: bool = False) -> tuple[_Body, Program, list[Tensor]]:
         """What was seen of the body, a method's program for it, and the body's own coefficients in that."""
         body = self._body(p)
@@ -271,6 +276,9 @@ TRACED = {
     "potential_energy": lambda frames, motion, *_: [kinematics.potential_energy(frames, motion)],
     "inertia_matrix": lambda frames, motion, *_: _flat(composite_bodies.inertia_matrix(frames, motion)),
     "keypoints": lambda frames, motion, _, space: _flat([x[:space] for x in kinematics.sites(frames, motion)]),
+    "site_accelerations": lambda frames, motion, _, space: _flat(
+        [x[:space] for x in kinematics.site_accelerations(frames, motion)]
+    ),
     "jacobian": lambda frames, motion, _, space: _flat(
         _flat([rows[:space] for rows in kinematics.jacobian(frames, motion)])
     ),

@@ -46,6 +46,22 @@ def velocities(frames: Frames, motion: Motion) -> list[tuple[Vector, Vector, tup
     return found
 
 
+def accelerations(frames: Frames, motion: Motion, world: Vector = ZERO) -> list[tuple[Vector, Vector]]:
+    """Of each frame, in its axes: the change of its pair of velocities, where that of the ``world`` is so much.
+
+    The second is of what passes the origin: ω × v more is the origin's own acceleration, m/s².
+    """
+    found: list[tuple[Vector, Vector]] = []
+    places, speeds = placed(frames, motion), velocities(frames, motion)
+    for frame, place, (_, _, (turning, moving)) in zip(frames.frames, places, speeds, strict=True):
+        alpha, a = found[frame.parent] if frame.parent >= 0 else (ZERO, world)
+        alpha, a = place.outwards(alpha), place.outwards(add(a, cross(alpha, place.position)))
+        along = [0.0, 0.0, motion.qdd[frame.coordinate]]
+        alpha, a = add(alpha, turning), add(a, moving)
+        found.append((add(alpha, along), a) if frame.turns else (alpha, add(a, along)))
+    return found
+
+
 def world_frames(frames: Frames, motion: Motion) -> list[tuple[Matrix, Vector]]:
     """Of each frame: its axes as the columns of a matrix, and its origin, m."""
     found: list[tuple[Matrix, Vector]] = []
@@ -64,6 +80,19 @@ def sites(frames: Frames, motion: Motion) -> list[Vector]:
     for at, offset in frames.sites:
         axes, origin = world[at] if at >= 0 else (UNIT, ZERO)
         found.append(add(origin, apply(axes, offset)))
+    return found
+
+
+def site_accelerations(frames: Frames, motion: Motion) -> list[Vector]:
+    """r̈ = v̇ + ω × v + ω̇ × r + ω × (ω × r) of all sites, m/s², in the world's axes."""
+    world, speeds, changes = world_frames(frames, motion), velocities(frames, motion), accelerations(frames, motion)
+    found = []
+    for at, r in frames.sites:
+        if at < 0:
+            found.append(ZERO)
+            continue
+        (w, v, _), (alpha, a) = speeds[at], changes[at]
+        found.append(apply(world[at][0], add(a, cross(w, v), cross(alpha, r), cross(w, cross(w, r)))))
     return found
 
 

@@ -5,26 +5,17 @@ forces f = I a + v ×* I v inwards; a torque is what its axis takes of the force
 Gravity is an acceleration −g of the world. Without accelerations, velocities or gravity the recursion is the shorter.
 """
 
-from invdyn.models.dynamics.spatial.algebra import ZERO, Vector, add, apply, cross, scale, subtract
+from invdyn.models.dynamics.spatial.algebra import Vector, add, apply, cross, scale, subtract
 from invdyn.models.dynamics.spatial.frames import Frame, Frames
-from invdyn.models.dynamics.spatial.kinematics import Motion, placed, velocities
+from invdyn.models.dynamics.spatial.kinematics import Motion, accelerations, placed, velocities
 from invdyn.models.dynamics.traced.expressions import Scalar
 
 
 def torques(frames: Frames, motion: Motion) -> list[Scalar]:
     """τ, K entries, of q, q̇ and q̈; q̇ or q̈ may be zeros."""
     places, speeds = placed(frames, motion), velocities(frames, motion)
-    arrived: list[tuple[Vector, Vector]] = []
-    forces: list[tuple[Vector, Vector]] = []
-    for frame, place, (w, v, (turning, moving)) in zip(frames.frames, places, speeds, strict=True):
-        world = ZERO, scale(-1.0, frames.gravity)
-        alpha, a = arrived[frame.parent] if frame.parent >= 0 else world
-        alpha, a = place.outwards(alpha), place.outwards(add(a, cross(alpha, place.position)))
-        along = [0.0, 0.0, motion.qdd[frame.coordinate]]
-        alpha, a = add(alpha, turning), add(a, moving)
-        alpha, a = (add(alpha, along), a) if frame.turns else (alpha, add(a, along))
-        arrived.append((alpha, a))
-        forces.append(_force(frame, w, v, alpha, a))
+    arrived = accelerations(frames, motion, scale(-1.0, frames.gravity))
+    forces = [_force(frame, *of[:2], *at) for frame, of, at in zip(frames.frames, speeds, arrived, strict=True)]
     found: list[Scalar] = [0.0] * frames.num_joints
     for k in reversed(range(len(forces))):
         frame, (moment, force) = frames.frames[k], forces[k]
