@@ -154,7 +154,7 @@ def as_real(answer: Mapping, found: Mapping, groups: Sequence[Sequence[str]]) ->
 
 
 def shown(found: Mapping) -> list[Mapping]:
-    """Effects of the answer that leads: of the most probable cause, also in part, or of the regression if it does."""
+    """Effects of the most probable cause, also in part, or of the regression if it does."""
     if (found.get("closing") or {}).get("shown") == "regression":
         stated = (found.get("regression") or {}).get("statements") or []
         places = {"inertial_error": "link"}

@@ -21,7 +21,7 @@ import arviz as az
 from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, measured
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, borne_out, by_effect, closed, unseen
+from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, all_confirmed, by_effect, closed, unseen
 from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.regression_alone import by_regression_alone
@@ -247,7 +247,7 @@ def diagnose(
         parts = {}  # what a regression chose, withheld folds have confirmed
     elif len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, seed)
-        if not borne_out(best, parts, rules):
+        if not all_confirmed(best, parts, rules):
             weighed = in_part_only(weighed)
     else:
         parts = {key(effect): shares for effect in best.effects}

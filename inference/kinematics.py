@@ -67,7 +67,7 @@ def infer_kinematics(
     Raises InputError: the recording does not fit the body or is a film, an unknown parameter, or another method.
     """
     if method not in SAMPLERS:
-        raise InputError(f"--kinematic: expected a method among {', '.join(SAMPLERS)}, got {method!r}")
+        raise InputError(f"--torque none: expected a method among {', '.join(SAMPLERS)}, got {method!r}")
     if isinstance(recording, Filmed):
         raise InputError(
             f"{recording.name} is a film, and a kinematic model knows no cameras: "

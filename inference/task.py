@@ -21,7 +21,7 @@ from invdyn.inference.execution.checkpoint import Checkpoint, digest, part_of
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.progress import Progress, Report
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.best_guide import bears_out
+from invdyn.inference.filters.best_guide import guides_agree
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
@@ -188,13 +188,13 @@ class Task:
         def in_a_batch(problem: Problem, checkpoint: Checkpoint | None, **options: Any) -> az.InferenceData:
             with suppress(SMCFailed, Diverged):
                 found = over_sets(method, problem, sets, checkpoint=checkpoint, **options)
-                if self._borne_out(torch.as_tensor(found["sample_stats"]["log_evidence"].to_numpy())):
+                if self._confirms(torch.as_tensor(found["sample_stats"]["log_evidence"].to_numpy())):
                     return found
             return one_by_one(problem, checkpoint=inside(checkpoint, "alone"), **options)
 
         return timed(in_a_batch), sets
 
-    def _borne_out(self, log_evidence: Tensor) -> bool:
+    def _confirms(self, log_evidence: Tensor) -> bool:
         """Whether filters over sets, with log-evidences (M,) of the mixture, agree, and a bootstrap pilot is no higher.
 
         The pilot is of the fit: the mixture's evidence is less, by what its parameters and processes cost.
@@ -203,7 +203,7 @@ class Task:
         best = self.candidates[int(marginal.argmax())].fit.log_evidence
         cost = best - float(marginal.logsumexp(0)) + math.log(len(marginal))
         ahead = evidence(log_evidence + cost, "controlled")
-        return bears_out(self.problem.model, self.problem.observations, self.options, self.seed, ahead)
+        return guides_agree(self.problem.model, self.problem.observations, self.options, self.seed, ahead)
 
 
 def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:

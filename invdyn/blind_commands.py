@@ -8,7 +8,7 @@ import typer
 
 from .console import ProgressBar, print_line, say
 from .options import Processes
-from .settings import Setting
+from .settings import Setting, yes
 
 
 def blind(
@@ -33,15 +33,15 @@ def blind(
         str, typer.Option(help="What simulates reality: mujoco or pinocchio, each with its own forms of effects.")
     ] = "mujoco",
     bodies: Annotated[
-        str, typer.Option(help="plane: chains of one to three links; space: trees of three to seven hinges, by mujoco.")
+        str,
+        Setting("plane: chains of one to three links (the default); space: trees of three to seven hinges, by mujoco"),
     ] = "plane",
     method_command: Annotated[
         str | None,
         typer.Option(help="Another method: a command with {recording}, {body}, {out}; see docs/blind_protocol.md."),
     ] = None,
     confine: Annotated[
-        bool,
-        typer.Option("--confine/--no-confine", help="Run that method in a container of bubblewrap, if it works here."),
+        bool, Setting("no: run that method outside of bubblewrap's container; default: yes, if it works here", yes)
     ] = True,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Diagnose again, given the true effects: how far could the gap close?")
@@ -61,7 +61,7 @@ def blind(
     if method_user is not None and method_command is None:
         raise InputError("method_user: expected --method-command with it; our own method runs as you do")
     if bodies not in ("plane", "space") or (bodies == "space" and engine != "mujoco"):
-        raise InputError(f"--bodies: expected plane, or space with mujoco, got {bodies!r} with {engine}")
+        raise InputError(f"--set bodies: expected plane, or space with mujoco, got {bodies!r} with {engine}")
     world = engine if bodies == "plane" else f"{engine}-in-space"
     counts = counted(kinds, cases)
     number, hidden = secret_seed(seed, seed_file, 1_000_000)

@@ -17,9 +17,9 @@ def calibrate(
     board: Annotated[str, typer.Option(help="checkerboard:9x6 (inner corners) or charuco:7x5 (squares).")],
     square: Annotated[float, typer.Option(help="Side of a square, m.")],
     out: Annotated[Path, typer.Option(help="The calibration: .toml.")],
-    marker: Annotated[float | None, typer.Option(help="Side of a marker, m; default: half a square.")] = None,
-    dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV calls it.")] = "DICT_4X4_50",
-    every: Annotated[int, typer.Option(min=1, help="Search every n-th frame of a film.")] = 10,
+    marker: Annotated[float | None, Setting("side of a marker, m; default: half a square", float)] = None,
+    dictionary: Annotated[str, Setting("of the markers, as OpenCV calls it; default: DICT_4X4_50")] = "DICT_4X4_50",
+    every: Annotated[int, Setting("search every n-th frame of a film; default: 10", int, least=1)] = 10,
 ) -> None:
     """Calibrate cameras from films of a board.
 
@@ -72,14 +72,14 @@ def triangulate(
         float | None,
         typer.Option("--find-offsets", min=0.001, help="Find how far clocks are ahead, up to so many seconds."),
     ] = None,
-    up: Annotated[str, typer.Option(help="Axis of the calibration that points up: z, -z, y, -y, x, -x.")] = "z",
+    up: Annotated[str, Setting("axis of the calibration that points up: z, -z, y, -y, x, -x; default: z")] = "z",
     refine: Annotated[bool, typer.Option("--refine", help="Adjust the cameras' poses to these tracks first.")] = False,
     fit: Annotated[
         str, typer.Option("--estimate", help="With --refine, what to fit of the lenses: focal, distortion, or both.")
     ] = "",
     fps: FrameRate = None,
     errors: Annotated[Path | None, typer.Option(help="Reprojection errors by camera and keypoint: .csv.")] = None,
-    sd: Annotated[Path | None, typer.Option(help="Standard deviations of all coordinates: .csv, m.")] = None,
+    sd: Annotated[Path | None, Setting("standard deviations of all coordinates, m: .csv", Path)] = None,
     calibration_out: Annotated[
         Path | None, typer.Option(help="The cameras in the recording's frame, in metres: .toml.")
     ] = None,

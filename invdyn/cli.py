@@ -17,10 +17,11 @@ from .console import Commands, ProgressBar, check_ending, check_outputs, say
 from .diagnosis_options import Diagnosed
 from .excite_commands import excite
 from .film_commands import label, track, train
-from .inference_options import Inference, kinematic_arguments, open_workers
+from .inference_options import NONE, Inference, kinematic_arguments, open_workers
 from .live_commands import live
 from .model_commands import compare_model
-from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Recipe, Replicates, Seed
+from .options import BodyFile, FolderOut, Isolate, Methods, Outputs, Replicates, Seed
+from .recipes import Recipe
 from .robot_commands import check
 from .settings import GroupedCommand, Setting, with_settings
 from .study_commands import trials
@@ -58,6 +59,7 @@ def invdyn(
 
 
 @command()
+@with_settings
 def simulate(
     body: BodyFile,
     out: Annotated[Path, typer.Option(help="The recording: .csv.")],
@@ -66,10 +68,10 @@ def simulate(
     fps: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 30.0,
     noise: Annotated[float, typer.Option(min=1e-9, help="Standard deviation of a keypoint, m.")] = 0.005,
     encoders: Annotated[
-        float | None, typer.Option(min=1e-9, help="Record encoders too, with this standard deviation, rad.")
+        float | None, Setting("record encoders too, with this standard deviation, rad", float, least=1e-9)
     ] = None,
     torque_scale: Annotated[
-        float | None, typer.Option(min=0, help="Standard deviation of the torques, N·m; default: by the body.")
+        float | None, Setting("standard deviation of the torques, N·m; default: by the body", float, least=0)
     ] = None,
     commanded: Annotated[bool, typer.Option("--commanded", help="The torques are known commands.")] = False,
     seed: Seed = 0,
@@ -114,9 +116,6 @@ def infer(
     out: Outputs = None,
     recipe: Recipe = None,
     method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
-    kinematic: Annotated[
-        bool, typer.Option("--kinematic", help="Motion and lengths alone, without forces; by smc or laplace.")
-    ] = False,
     engine: Annotated[
         str, Setting("dynamics: mujoco for contact, loops, tendons, muscles, or own; default: by the body's file")
     ] = "auto",
@@ -136,7 +135,8 @@ def infer(
     from .outputs import OutputFiles
     from .summary import summary_text
 
-    given.check(method)
+    given.check(method, without_torque=True)
+    kinematic = given.torque == NONE
     files = OutputFiles(tuple(out or ()))
     tracks = given.tracks_file(files.usual_tracks)
     files.check(*given.files, inferred=True, tracks=tracks, torques=not kinematic)
@@ -262,9 +262,9 @@ def diagnose(
         check_write_back(str(given.body), copies / Path(str(given.body)).name)
         files = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
         check_folder(copies, [copies / "randomisation.json", *files], given.files)
-    if (played := engine_log_of(given, engine)) is not None:
+    if (log := engine_log_of(given, engine)) is not None:
         with ProgressBar() as progress:
-            diagnosis, members = diagnose_by_engine(given, *played, progress, write_back, count)
+            diagnosis, members = diagnose_by_engine(given, *log, progress, write_back, count)
         with new_folder(out), whole_set():
             if copies is not None:
                 with new_folder(copies):

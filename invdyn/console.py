@@ -35,10 +35,11 @@ UsageError: Any = typer.BadParameter.__base__
 
 @dataclass
 class _Run:
-    """What one command is to leave, and why its words could not be printed, if so."""
+    """What one command is to leave, what it warned of, and why its words could not be printed, if so."""
 
     outputs: list[Path] = field(default_factory=list)
     unprinted: OSError | None = None
+    warned: set[str] = field(default_factory=set)
 
 
 _run = _Run()
@@ -216,7 +217,9 @@ def _print_no_more() -> None:
 
 
 def _show_warning(message: object, category: type[Warning], *_: object) -> None:
-    if issubclass(category, UserWarning | RuntimeWarning):  # the rest concerns programmers
+    """Print a warning that concerns users, once: a file is read again where its first rows decide how."""
+    if issubclass(category, UserWarning | RuntimeWarning) and str(message) not in _run.warned:
+        _run.warned.add(str(message))
         print_line("warning", message)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .inference_options import Inference
     from .recording_options import Recorded
 
-    Played = tuple[list[Recording], Recording | None, Scene, list[str]]
+    EngineLog = tuple[list[Recording], Recording | None, Scene, list[str]]
     """Logs, the one that is held out, their simulation, and why MuJoCo plays it."""
 
 ENGINES = ("auto", "mujoco", "own")
@@ -108,7 +108,7 @@ def _refuse_unused(given: "Recorded", unused: Sequence[str]) -> None:
 
 
 def _recording(given: "Recorded", seen: "Recording", actuators: bool = False) -> "tuple[Recording, Scene]":
-    """The table, in metres, of keypoints, joints and, if asked for, actuators that the body's file has; and its scene.
+    """The table, in metres, of keypoints, joints and, if wanted, actuators that the body's file has; and its scene.
 
     ``seen`` is the table as it stands, which tells whether it lies in a plane.
     """
@@ -147,7 +147,7 @@ def _another(given: "Diagnosed", name: str) -> "Recording":
     return _recording(given, load(name, **_reading(given)), actuators=True)[0]
 
 
-def engine_log_of(given: "Diagnosed", engine: str) -> "Played | None":
+def engine_log_of(given: "Diagnosed", engine: str) -> "EngineLog | None":
     """The logs, their simulation, and why MuJoCo's engine diagnoses it; None where it does not.
 
     By default it does where the file has equality constraints, tendons, muscles or lagging actuators, or where the

@@ -57,10 +57,10 @@ def excite(
     check_outputs(out, inputs)
     for each in out:
         check_ending("an output", each, *ENDINGS)
-    asked = [] if about is None else [name.strip() for name in about.split(",")]
+    wanted = [] if about is None else [name.strip() for name in about.split(",")]
     if diagnosis is not None:
         rivals = open_effects(diagnosis)
-        asked += rivals
+        wanted += rivals
         if not rivals:
             raise InputError(f"{diagnosis}: nothing is open that a motion's torque tells: leave --diagnosis out")
     with ProgressBar() as progress, body_file(robot) as path:
@@ -69,7 +69,7 @@ def excite(
             path,
             limits=limits,
             joints=[] if joints is None else [name.strip() for name in joints.split(",")],
-            about=asked,
+            about=wanted,
             seconds=seconds,
             noise=noise,
             starts=starts,

@@ -9,6 +9,7 @@ import typer
 
 from .console import ProgressBar, check_ending, check_outputs, say
 from .options import Checkpoint, Individual, Person, Seed, Tracker
+from .settings import Setting, yes
 
 FilmFile = Annotated[Path, typer.Argument(metavar="FILM", help="Film: .mp4, .mov, .avi, .mkv …")]
 
@@ -28,7 +29,7 @@ def label(
         Path | None,
         typer.Option(help="Network of `invdyn train`; the page shows its points, for you to take or correct."),
     ] = None,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    browser: Annotated[bool, Setting("no: leave the page for you to open; default: yes", yes)] = True,
 ) -> None:
     """Label joints in a film, in a page of your browser.
 
@@ -126,7 +127,7 @@ def train(
     ],
     out: Annotated[Path, typer.Option(help="The network: .safetensors.")],
     steps: Annotated[int, typer.Option(min=1, help="Steps of training, of eight pictures each.")] = 500,
-    size: Annotated[int, typer.Option(help="Longer side of the pictures that the network sees, px.")] = 288,
+    size: Annotated[int, Setting("longer side of the pictures that the network sees, px; default: 288", int)] = 288,
     seed: Seed = 0,
     individual: Individual = None,
     checkpoint: Checkpoint = None,

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 """The torque by default, whose process is not known."""
+NONE = "none"
+"""No torque: a kinematic model, of motion and lengths alone."""
 LENGTHS = "lengths"
 CAMERAS = ("offset", "pose", "turn")
 """What `--learn` may name: of links, and of cameras."""
@@ -42,7 +44,8 @@ class Inference(Recorded):
         str,
         typer.Option(
             help="Torque process: auto, whose parameters are uncertain; or ornstein_uhlenbeck, random_walk, matern32, "
-            "matern52, recurrent, smooth_and_rough, at fitted parameters."
+            "matern52, recurrent, smooth_and_rough, at fitted parameters; none: motion and lengths alone, "
+            "without forces, by smc or laplace (`infer`)."
         ),
     ] = AUTO
     noise: Annotated[
@@ -53,7 +56,7 @@ class Inference(Recorded):
         ),
     ] = None
     forces: Annotated[
-        Path | None, typer.Option(help="Known forces on keypoints, N: .csv of time, <keypoint>_fx, <keypoint>_fy.")
+        Path | None, Setting("known forces on keypoints, N: .csv of time, <keypoint>_fx, <keypoint>_fy", Path)
     ] = None
     filters: Filters = 64
     particles: Particles = 100
@@ -66,14 +69,17 @@ class Inference(Recorded):
     ] = None
     exact_body: Annotated[bool, Setting("yes: the numbers of a robot's file are exact; default: no", yes)] = False
 
-    def check(self, *methods: str) -> None:
-        """Raise InputError for a name that is not known."""
+    def check(self, *methods: str, without_torque: bool = False) -> None:
+        """Raise InputError for a name that is not known; a torque "none" is one only ``without_torque``."""
         from invdyn.inference import METHODS
         from invdyn.models import FAMILIES, TORQUE_PROCESSES
         from invdyn.recordings import InputError
 
         named: list[tuple[str, str, Collection[str]]] = [("method", method, METHODS) for method in methods]
-        named += [("torque process", self.torque, (*TORQUE_PROCESSES, AUTO)), ("noise", self.family, FAMILIES)]
+        named += [
+            ("torque process", self.torque, (*TORQUE_PROCESSES, AUTO, *[NONE] * without_torque)),
+            ("noise", self.family, FAMILIES),
+        ]
         named += [("word of --learn", word, (LENGTHS, *CAMERAS)) for word in self.learned]
         for what, given, known in named:
             if given not in known:
@@ -99,7 +105,7 @@ class Inference(Recorded):
         """Arguments of `inference.infer` and `inference.compare`, but for what is read."""
         from invdyn.models import TORQUE_PROCESSES
 
-        named: dict[str, Callable[[], Any]] = {**TORQUE_PROCESSES, AUTO: lambda: None}
+        named: dict[str, Callable[[], Any]] = {**TORQUE_PROCESSES, AUTO: lambda: None, NONE: lambda: None}
         return {
             "num_filters": self.filters,
             "num_particles": self.particles,
@@ -152,7 +158,7 @@ def kinematic_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
     for name, value in arguments.items():
         if name not in taken and value != usual[name].default:
             option = {"passive": "zero-torque", "executor": "workers", "learn_cameras": "learn"}.get(name, name)
-            raise InputError(f"--{option.replace('_', '-')}: has no part in --kinematic; leave one of them out")
+            raise InputError(f"--{option.replace('_', '-')}: has no part in --torque none; leave one of them out")
     return {name: value for name, value in arguments.items() if name in taken}
 
 

@@ -96,13 +96,13 @@ def _in_the_bodys_terms(logged: Logged, body: Body, maps: Sequence[JointMap] = (
                 f"{recording.name}: targets of joint {joint!r}, which has no servo in the robot's file: give it one "
                 '(<position> in MJCF, motor = {kind = "position", …} in TOML), or its torques'
             )
-        asked = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
+        wanted = servo_torque(own.servo, sign[k] * target + zero[k] * (own.servo.kind == "position"))
         if torque is not None and not added:
             warnings.warn(
                 f"{recording.name}: the torque of joint {joint!r} is not used, as its servo has a target: if it is "
                 "added to the servo's, write feedforward = true in its line of the map",
                 stacklevel=2,
             )
-        commands[:, k] = asked + (commands[:, k] if added else 0.0)
+        commands[:, k] = wanted + (commands[:, k] if added else 0.0)
     angles = None if recording.angles is None else zero + sign * recording.angles
     return replace(recording, angles=angles, torques=commands if np.isfinite(commands).any() else None)

@@ -1,16 +1,11 @@
-"""Options that commands share, each declared once.
-
-Recipes of `invdyn infer`: options that one kind of recording needs; `docs/how-to/recipes.md` says why.
-
-What is given on the command line takes precedence. A recipe says nothing that a recording or a body's file has to say.
-"""
+"""Options that commands share, each declared once."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from .settings import Setting
+from .settings import Setting, yes
 
 MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
 MAX_WORKERS = 1024
@@ -37,9 +32,7 @@ Tracker = Annotated[
 ZeroTorque = Annotated[bool, typer.Option("--zero-torque", help="No torque acts: the body moves freely.")]
 Methods = Annotated[str, typer.Option(help="Such as smc,bootstrap; an unknown name lists them all.")]
 Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method, with different seeds.")]
-Isolate = Annotated[
-    bool, typer.Option("--isolate", help="Run each method in its own process, so that its memory is measured.")
-]
+Isolate = Annotated[bool, Setting("yes: each method in a process of its own, so that its memory is measured", yes)]
 Filters = Annotated[int, typer.Option(min=1, help="Independent filters.")]
 Particles = Annotated[int, typer.Option(min=1, help="Particles of each filter.")]
 Workers = Annotated[
@@ -73,32 +66,3 @@ Person = Annotated[
 Individual = Annotated[str | None, Setting("which animal, in a file of several")]
 FileFormat = Annotated[str | None, Setting("format of the file, if its name does not say")]
 Device = Annotated[str, Setting("where particle filters compute: cpu or cuda")]
-
-
-RECIPES: dict[str, dict[str, Any]] = {
-    "mouse": {"kinematic": True, "learn": ["lengths"], "noise": "student_t"},
-    "reach": {"noise": "student_t"},
-    "panda": {"hide_torque": True, "method": "laplace"},
-}
-"""Name -> option, by its name in `infer` -> value."""
-
-
-def follow(context: typer.Context, name: str | None) -> str | None:
-    """Make a recipe's values the defaults of this call. Raises InputError for a name that is not known."""
-    if name is not None:
-        if name not in RECIPES:
-            from invdyn.recordings import InputError
-
-            raise InputError(f"--recipe: expected one of {', '.join(RECIPES)}, got {name!r:.40}")
-        context.default_map = RECIPES[name]
-    return name
-
-
-Recipe = Annotated[
-    str | None,
-    typer.Option(
-        callback=follow,
-        is_eager=True,
-        help=f"Options for one kind of recording: {', '.join(RECIPES)}. Options that you give take precedence.",
-    ),
-]

@@ -86,9 +86,13 @@ class Recorded:
     def check_exist(self) -> None:
         """Raise FileNotFoundError for a file that is nowhere, before anything large is imported.
 
-        Raises InputError unless there is a body file, or all numbers that a person needs, and for an unknown unit.
+        Raises InputError unless there is a body file, or all numbers that a person needs, for an unknown unit, and for
+        a table of keypoints whose format asks for more than is given.
         """
         from invdyn.recordings import InputError
+        from invdyn.recordings.loader import stated_format
+        from invdyn.recordings.logs.read import kind_of
+        from invdyn.recordings.paths import is_film
         from invdyn.recordings.units import parse_units
 
         from .input_names import check_exist
@@ -105,6 +109,10 @@ class Recorded:
             )
         check_exist(*self.tracked, *(() if self.calibration else self.other_recordings), body=self.body)
         parse_units(self.units)
+        path = Path(self.recording)
+        table = path.is_file() and not is_film(path) and kind_of(path) in (None, "csv")
+        if table and not self.calibration and self.mapping is None:
+            stated_format(path, self.units, self.fps, self.format, self.individual)
 
     @property
     def recording(self) -> str:

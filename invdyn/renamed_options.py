@@ -21,11 +21,18 @@ RENAMED = {
     "--mot": "--out",
     "--csv": "--out",
     "--episode": "--set episodes=",
+    "--kinematic": "--torque none",
+    "--isolate": "--set isolate=yes",
+    "--browser": "--set browser=yes",
+    "--no-browser": "--set browser=no",
+    "--confine": "--set confine=yes",
+    "--no-confine": "--set confine=no",
 }
 """Old option to new one; a flag may become an option with its value."""
 SETTINGS = (
-    *("baseline", "clock", "device", "episodes", "filters-per-task", "format", "individual", "method-user"),
-    *("noise", "person", "plane", "tolerance", "tracks", "unit"),
+    *("baseline", "bodies", "clock", "device", "dictionary", "encoders", "episodes", "every"),
+    *("filters-per-task", "forces", "format", "individual", "marker", "method-user", "noise", "person", "plane"),
+    *("sd", "size", "tolerance", "torque-scale", "tracks", "unit", "up"),
 )
 """Old options that are settings now, each ``--set NAME=VALUE``."""
 
@@ -52,14 +59,14 @@ def with_new_names(
         old, equals, value = word.partition("=")
         new = _new_name(old)
         name = new.partition(" ")[0]
-        known = (new if new.endswith("=") else name) in own
+        known = (f"{new.partition('=')[0]}=" if name == "--set" else name) in own
         if old in own or not known or (name == "--out" and name not in repeatable):
             found.append(word)
             continue
         if name in given and name not in repeatable:
             raise ValueError(f"{old} is {name} now, which is given too: leave one of them out")
         given.add(name)
-        warn(f"{old} is now {new.replace('=', '=…')}; the old name works in this version alone")
+        warn(f"{old} is now {new}{'…' * new.endswith('=')}; the old name works in this version alone")
         if new.endswith("="):
             found += [name, f"{new.split()[1]}{value if equals else next(rest, '')}"]
         else:

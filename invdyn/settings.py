@@ -18,10 +18,10 @@ MIN_GROUPED = 12  # options of a command from which on they stand in groups
 GROUPS = {
     "Recording": "body height mass sex units fps scale base frames calibration offset tracker mapping others held_out "
     "camera",
-    "Model": "zero_torque hide_torque forces truth learn torque noise kinematic recipe",
-    "Scene": "length find up refine fit",
+    "Model": "zero_torque hide_torque truth learn torque noise recipe",
+    "Scene": "length refine fit",
     "Search": "exclude estimate max_effects budget force",
-    "Computation": "filters particles draws replicates isolate workers seed seed_file checkpoint",
+    "Computation": "filters particles draws replicates workers seed seed_file checkpoint",
 }
 """Which group of a help an option stands in; the others stand at the end."""
 
@@ -59,7 +59,7 @@ def yes(text: str) -> bool:
 
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="A rare setting, listed below; repeatable."),
+    typer.Option("--set", metavar="NAME=VALUE", help="A rare setting, of those listed; repeatable."),
 ]
 
 

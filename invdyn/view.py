@@ -2,7 +2,7 @@
 
 Of a posterior: the mean body, some draws, keypoints as seen, torques and angles with their 50 and 90 % bands. Of a
 diagnosis: the simulation before and after the correction, the torque that each misses, with 90 % bands, and how far
-each is off when it is played on its own. Of a study: torques of all trials, aligned at an event, and the average of
+each is off when it is simulated alone. Of a study: torques of all trials, aligned at an event, and the average of
 each condition, with its 90 % band and that of a further trial.
 
 Recordings of more than `MAX_ROWS` rows are thinned: median and edges of the bands at evenly spaced rows.
@@ -133,7 +133,7 @@ def _of_diagnosis(idata: az.InferenceData) -> View:
     )
     view.notes = {
         "missing torque": "What the simulation needs at the joint to follow the recording, with 90 % bands.",
-        "replay error": "How far the link's point is from the smoothed recording, played without feedback.",
+        "replay error": "How far the link's point is from the smoothed recording, simulated without feedback.",
         "angle": "Smoothed under the corrected simulation.",
     }
     for k, joint in enumerate([str(name) for name in tracks["joint"].values]):

@@ -181,9 +181,9 @@ def _updated(
         off = (row - here)[:, known]
         H = np.concatenate([slopes[:, known], np.zeros((len(mean), known.sum(), count))], -1)
         size = np.abs(off) / noise[known]
-        spread = noise[known] ** 2 * np.maximum(size / HUBER, 1.0)
+        variance = noise[known] ** 2 * np.maximum(size / HUBER, 1.0)
         crossed = cov @ H.swapaxes(-1, -2)
-        inner = H @ crossed + np.eye(known.sum()) * spread[:, None]
+        inner = H @ crossed + np.eye(known.sum()) * variance[:, None]
         gain = np.linalg.solve(inner, crossed.swapaxes(-1, -2)).swapaxes(-1, -2)
         innovation = off - (H @ (mean - at)[..., None])[..., 0]
         new = mean + (gain @ innovation[..., None])[..., 0]

@@ -133,8 +133,8 @@ def joint_angle_candidates(
     smooth = smooth_angles(time, absolute, sd, wrap=wrapped)
     whirls = _whirls(smooth) & wrapped.all(axis=0)
     if whirls.any():
-        firm = smooth_angles(time, absolute, sd, wrap=wrapped, gate=GATE)
-        smooth = np.where(whirls & ~_whirls(firm), firm, smooth)
+        gated = smooth_angles(time, absolute, sd, wrap=wrapped, gate=GATE)
+        smooth = np.where(whirls & ~_whirls(gated), gated, smooth)
     return within_half_a_turn(np.diff(smooth, axis=-1, prepend=0.0), wrapped)
 
 

@@ -240,7 +240,7 @@ plt.show()
 # The learned noise is a good part of the motion. The apparent lengths of the two bones differ from frame to frame by
 # much more than a rigid bone's can. That is the calibration's doing. What the bands hold, they hold because the model
 # says so of its noise, as in notebook 1's human arm. The same from a terminal, with a body file and a recording in
-# metres: `invdyn infer paw.csv --body mouse.toml --kinematic --learn lengths --out motion.nc`.
+# metres: `invdyn infer paw.csv --body mouse.toml --torque none --learn lengths --out motion.nc`.
 #
 # ## Exercises
 #

@@ -98,6 +98,39 @@ def read_file(
     shifting: Collection[str] = (),
 ) -> Recording:
     """A file with all that is in it; arguments and errors as those of `load`, which then keeps what is wanted."""
+    form, declared = stated_format(path, units, fps, format, individual)
+    with about(path):
+        if form.read is None:
+            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
+        else:
+            recording = form.read(path, fps, individual)
+        recording = without_zeros(recording, pixels=declared.length == "px")
+        if plane is not None:
+            recording = planar(recording, plane, form.axes)
+        elif rotated := read_as(form.axes):
+            warnings.warn(f"{path}: y is up in this file, z is up here: {rotated}", stacklevel=2)
+        angle = declared.angle or form.angle_unit(path)
+        recording = to_si(recording, replace(declared, angle=angle), scale, fps, shifting)
+        try:
+            check_magnitudes(recording, declared)
+        except InputError:
+            if scale is None or recording.angles is not None:
+                raise
+            raise InputError(
+                f"--scale {scale:g} makes these keypoints larger than any body: expected metres a pixel, such as 0.002"
+            ) from None
+        if base is not None and base not in recording.keypoint_names:
+            _check_base(recording, base, keypoints or (), own_frame=form.read is None)
+        return recording
+
+
+def stated_format(
+    path: Path, units: str | None, fps: float | None, format: str | None, individual: str | None
+) -> tuple[Format, Units]:
+    """The format of a file, and its units, before its rows are read.
+
+    Raises InputError for an unknown format, and for units, a rate or an animal that the file lacks or already says.
+    """
     check_readable(path)
     kind = recognise(path, format)
     form = FORMATS[kind]
@@ -122,28 +155,7 @@ def read_file(
         if not form.animals and individual is not None:
             raise InputError(f"a {form.title} file holds one body: leave individual out")
         _check_time_unit(form, declared, fps)
-        if form.read is None:
-            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
-        else:
-            recording = form.read(path, fps, individual)
-        recording = without_zeros(recording, pixels=declared.length == "px")
-        if plane is not None:
-            recording = planar(recording, plane, form.axes)
-        elif rotated := read_as(form.axes):
-            warnings.warn(f"{path}: y is up in this file, z is up here: {rotated}", stacklevel=2)
-        angle = declared.angle or form.angle_unit(path)
-        recording = to_si(recording, replace(declared, angle=angle), scale, fps, shifting)
-        try:
-            check_magnitudes(recording, declared)
-        except InputError:
-            if scale is None or recording.angles is not None:
-                raise
-            raise InputError(
-                f"--scale {scale:g} makes these keypoints larger than any body: expected metres a pixel, such as 0.002"
-            ) from None
-        if base is not None and base not in recording.keypoint_names:
-            _check_base(recording, base, keypoints or (), own_frame=form.read is None)
-        return recording
+    return form, declared
 
 
 def _check_time_unit(form: Format, declared: Units, fps: float | None) -> None:

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from .errors import InputError
+from .exchanged_names import check_names
 from .limits import PLAUSIBLE
-from .naming import check_names
 from .pace import check_interval, froude
 from .recording import Recording
 from .units import METRES, RADIANS, Units, median_distances
@@ -69,7 +69,7 @@ def check_plausible(
 
     Raises:
         InputError: a distance that is off by more than a factor of 3, or too large by more than 1.5 for a length that
-            is not guessed; names of two keypoints that are exchanged (:mod:`.naming`); times or speeds that
+            is not guessed; names of two keypoints that are exchanged (:mod:`.exchanged_names`); times or speeds that
             are not this body's (:mod:`.pace`); angles that fit the keypoints in the other unit. With keypoints in
             pixels or of another chain only the times are checked.
     """

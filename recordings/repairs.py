@@ -1,7 +1,7 @@
 """What is wrong with a recording in itself, without a body, and can be put right; each repair warns with its first row.
 
 Left and right exchanged (:mod:`.sides`), another person (:mod:`.other_person`), wrapped encoders. Repairs of a repaired
-recording find nothing, so that both a reader and who takes a recording made in Python may ask.
+recording find nothing, so that both a reader and who takes a recording made in Python may use.
 
 A wrapped angle starts again at −π when it passes π, or at 0 after a whole revolution: it never leaves an interval of
 2π, and steps by almost 2π where the joint moves as before. Whole revolutions are added after each step of more than

@@ -12,7 +12,7 @@ import torch
 
 from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
 from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
-from invdyn.diagnosis.hypotheses.simplex_search import log_spread
+from invdyn.diagnosis.hypotheses.simplex_search import log_sd_prior
 from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -143,7 +143,7 @@ def _searched(
     name: str,
 ) -> np.ndarray:
     """Draws (N,) of a parameter that was searched, Gaussian in its logarithm as the search has it."""
-    value, prior = cause.noise[name], log_spread(p, problem.rules)
+    value, prior = cause.noise[name], log_sd_prior(p, problem.rules)
     share = float(np.nan_to_num(cause.noise_sd.get(name, 0.0))) / value / prior
     wider = prior * np.sqrt(_tempered(min(share, 1.0) ** 2, temper))
     draws = value * np.exp(wider * rng.standard_normal(problem.rules.outcome.num_interval_draws))

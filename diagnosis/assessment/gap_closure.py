@@ -115,7 +115,7 @@ def by_effect(
     return {key(effect): share for effect, share in zip(cause.effects, shares, strict=True) if share is not None}
 
 
-def borne_out(cause: FittedHypothesis, parts: Mapping[str, Closed], rules: Rules = DEFAULT) -> bool:
+def all_confirmed(cause: FittedHypothesis, parts: Mapping[str, Closed], rules: Rules = DEFAULT) -> bool:
     """Whether withheld rows confirm each effect of a cause of `min_effects_tested`, outliers not counted.
 
     Several together imitate what the catalogue lacks, and what does that closes nothing where the arm moves on. The

@@ -52,8 +52,8 @@ def matters(
     problem: DiagnosisProblem, none: FittedHypothesis, best: FittedHypothesis, missing: np.ndarray, limit: np.ndarray
 ) -> bool:
     """Whether the torque ``missing`` (T, K) without a cause exceeds a ``limit`` (K,), or another sign says so."""
-    loud = none.kappa > problem.rules.residual.max_error_ratio
-    if loud or not problem.regime.knows_torque or any(is_noise(effect) for effect in best.effects):
+    unexplained = none.kappa > problem.rules.residual.max_error_ratio
+    if unexplained or not problem.regime.knows_torque or any(is_noise(effect) for effect in best.effects):
         return True
     rows = max(round(problem.rules.evidence.worst_window / float(problem.model.dt[1:].median())), 1)
     rows = min(rows, len(missing))

@@ -22,7 +22,7 @@ An effect whose most probable values are not what its name says gives its probab
 at rest is Coulomb friction in a smoother form, and something else is left with either.
 
 The most probable cause has to pass the same on a withheld recording (:mod:`.transfer`). Of three effects or more,
-withheld rows have to confirm each (:func:`.gap_closure.borne_out`): several imitate one that the catalogue lacks.
+withheld rows have to confirm each (:func:`.gap_closure.all_confirmed`): several imitate one that the catalogue lacks.
 
 If s_c = 0, another effect is at work with c. In the choice between causes it costs what a named one does
 (:mod:`.prior`): p_c falls by P(n + 1)/P(n), where c has n ≥ 1 effects. What a withheld recording shows is exempt.

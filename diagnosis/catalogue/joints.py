@@ -29,7 +29,7 @@ def spring(effect: Effect, values: Values) -> Shown:
     return {"stiffness": (values["stiffness"], "N·m/rad"), "rest_angle": (rest_angle(values), "rad")}
 
 
-def rests_within_a_revolution(effect: Effect, mean: Numbers, sd: Numbers, scale: Scale) -> bool:
+def rest_angle_within_a_revolution(effect: Effect, mean: Numbers, sd: Numbers, scale: Scale) -> bool:
     """A rest angle within a revolution; one farther away shows as a constant torque.
 
     Springs of simulated cases rested at 2.5 rad at most.
@@ -112,7 +112,7 @@ ENTRIES = (
         phrase="joint stiffness",
         meaning="a spring that pulls the joint to a rest angle",
         shown_by="holding still in several postures",
-        credible=rests_within_a_revolution,
+        credible=rest_angle_within_a_revolution,
         reported=spring,
         limits={"rest_angle": (FIXED.max_rest_angle, CONSTANT)},
         body_file_fields={"stiffness": "stiffness"},

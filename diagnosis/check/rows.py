@@ -1,4 +1,4 @@
-"""Rows of a log that are no readings, by their numbers alone: strays, wrapped angles, held values.
+"""Rows of a log that are no readings, by their numbers alone: outliers, wrapped angles, held values.
 
     stray     a value c comes back exactly, ten usual steps or more from the rows around: another publisher's
     wrapped   steps of nearly the whole range of a joint, with small ones around them: q is known modulo M
@@ -36,7 +36,7 @@ class RowMistake:
 
 
 def wrong_rows(reading: Reading, rules: Rules = DEFAULT) -> tuple[list[RowMistake], Reading]:
-    """What is wrong with the rows of a reading, and the reading without it: strays and repeats missing, unwrapped."""
+    """What is wrong with the rows of a reading, and the reading without it: outliers and repeats missing, unwrapped."""
     if reading.recording.angles is None:
         return [], reading
     found, righted = _righted(reading.recording, _factors(reading), rules)
@@ -64,14 +64,14 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
     torques = None if recording.torques is None else np.array(recording.torques)
     found = []
     for values, what in ((angles, "angles"), (torques, "commands")):
-        strays = {} if values is None else {k: own for k, v in enumerate(values.T) if (own := _strays(v, rules))}
-        for constant in dict.fromkeys(c for c, _ in strays.values()):
-            joints = tuple(k for k, (c, _) in strays.items() if c == constant)
-            count = max(int(strays[k][1].sum()) for k in joints)
+        outliers = {} if values is None else {k: own for k, v in enumerate(values.T) if (own := _outliers(v, rules))}
+        for constant in dict.fromkeys(c for c, _ in outliers.values()):
+            joints = tuple(k for k, (c, _) in outliers.items() if c == constant)
+            count = max(int(outliers[k][1].sum()) for k in joints)
             words = f"{count} of {len(angles)} rows have the {what} {constant:.6g}, far from the rows around them"
             turn = "leave these rows out: another publisher's, or no reading"
             found.append(RowMistake("stray", joints, words, turn, constant))
-        for k, (_, rows) in strays.items():
+        for k, (_, rows) in outliers.items():
             assert values is not None
             values[rows, k] = np.nan if what == "angles" else values[_before(rows), k][rows]
     wraps = {k: modulus for k, v in enumerate(angles.T) if (modulus := _modulus(v, factors[k], rules))}
@@ -105,7 +105,7 @@ def _before(rows: np.ndarray) -> np.ndarray:
     return good[np.maximum(np.searchsorted(good, np.arange(len(rows)), side="right") - 1, 0)]
 
 
-def _strays(values: np.ndarray, rules: Rules) -> tuple[float, np.ndarray] | None:
+def _outliers(values: np.ndarray, rules: Rules) -> tuple[float, np.ndarray] | None:
     """The constant that rows (T,) of a column have which are none of it, and which rows; None of a clean one."""
     seen = np.flatnonzero(np.isfinite(values))
     own = values[seen]
@@ -114,7 +114,7 @@ def _strays(values: np.ndarray, rules: Rules) -> tuple[float, np.ndarray] | None
     each, counts = np.unique(own, return_counts=True)
     for place in np.argsort(-counts)[:3]:
         count = int(counts[place])
-        if count < max(rules.check.min_strays, rules.check.min_stray_share * len(own)) or count > len(own) // 2:
+        if count < max(rules.check.min_outliers, rules.check.min_outlier_share * len(own)) or count > len(own) // 2:
             continue
         rows = own == each[place]
         rest = own[~rows]
@@ -124,10 +124,10 @@ def _strays(values: np.ndarray, rules: Rules) -> tuple[float, np.ndarray] | None
         if usual == 0 or len(np.unique(rest)) < 0.1 * len(rest):
             continue
         edges = np.flatnonzero(np.diff(rows.astype(int)))
-        if count > rules.check.max_stray_run * (len(edges) / 2 + 1):  # a pause, not another publisher's rows
+        if count > rules.check.max_outlier_run * (len(edges) / 2 + 1):  # a pause, not another publisher's rows
             continue
-        far = np.abs(own[edges + 1] - own[edges]) > rules.check.min_stray_step * usual
-        if len(edges) >= 2 * rules.check.min_strays - 1 and far.mean() > 0.8:
+        far = np.abs(own[edges + 1] - own[edges]) > rules.check.min_outlier_step * usual
+        if len(edges) >= 2 * rules.check.min_outliers - 1 and far.mean() > 0.8:
             where = np.zeros(len(values), dtype=bool)
             where[seen[rows]] = True
             return float(each[place]), where

@@ -82,10 +82,10 @@ def _rows(recording: Recording) -> int:
     return int((seen if recording.angles is None else seen | np.isfinite(recording.angles).any(1)).sum())
 
 
-def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool, rules: Rules) -> Mistake | None:
+def _shares(reading: Reading, body: ArticulatedBody, all_confirmed: bool, rules: Rules) -> Mistake | None:
     """That a mapping's numbers are, or may be, shares of each joint's range; None where they are degrees.
 
-    ``borne_out``: whether the torques say that they are degrees.
+    ``all_confirmed``: whether the torques say that they are degrees.
     """
     recording = reading.recording
     if reading.maps is None or recording.angles is None:
@@ -98,7 +98,7 @@ def _shares(reading: Reading, body: ArticulatedBody, borne_out: bool, rules: Rul
     low, high = np.nanmin(raw, axis=0, initial=np.inf), np.nanmax(raw, axis=0, initial=-np.inf)
     beyond = bool((np.maximum(-low, high) > ENDS[1] + rules.check.range_tolerance).any())
     ends = bool((np.abs(np.stack([-low, high]) - ENDS[1]) <= rules.check.range_tolerance).any())
-    if beyond or (borne_out and not ends):
+    if beyond or (all_confirmed and not ends):
         return None
     lines = " and ".join(f'"{track} = …"' for track in (("angle", "target") if reading.targets else ("angle",)))
     turn = f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {reading.units.mapping}"

@@ -1,1 +1,1 @@
-"""Diagnosis of any file that MuJoCo loads: effects are numbers of the compiled model, played by MuJoCo itself."""
+"""Diagnosis of any file that MuJoCo loads: effects are numbers of the compiled model, simulated by MuJoCo itself."""

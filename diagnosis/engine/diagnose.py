@@ -237,7 +237,7 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
     there, count, kappa = other or log, len(log.observations), float(best.kappa[0])
     first = int(log.rules.outcome.fit_share * count) if other is None else 0
     rows = np.arange(len(there.observations)) >= first
-    values = _told_by(best, first, kappa) if first and best.effects else best.values
+    values = _values_given_first_rows(best, first, kappa) if first and best.effects else best.values
     low, high = (np.array([getattr(n, end) for e in best.effects for n in e.effect.numbers]) for end in ("low", "high"))
     try:
         before = none.filtered if other is None else filtered_with(there, (), none.values)
@@ -248,14 +248,14 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
     except Diverged:
         after = before  # with these numbers the simulation cannot follow, and closes nothing
     nothing, with_cause = (_scores(there, each, each.innovations[0], kappa) for each in (before, after))
-    told = closed(nothing, with_cause, rows, there.recording.time, seed, rules=log.rules)
+    closing = closed(nothing, with_cause, rows, there.recording.time, seed, rules=log.rules)
     # ½ χ² of white innovations: where no more than chance is missing, as in free flight, there is nothing to close
     chance = np.sqrt(0.5 * (~there.observations[rows].isnan()).sum().item())
     gap = np.nansum((with_cause.floor - nothing.score)[rows])
-    return told if gap > FIXED.engine_gap_sds * chance else replace(told, share=None, interval=None)
+    return closing if gap > FIXED.engine_gap_sds * chance else replace(closing, share=None, interval=None)
 
 
-def _told_by(cause: Cause, first: int, kappa: float) -> np.ndarray:
+def _values_given_first_rows(cause: Cause, first: int, kappa: float) -> np.ndarray:
     """A cause's numbers (p,) by its first rows alone."""
     A, b = cause.columns[0][:first].reshape(-1, len(cause.point)), cause.filtered.innovations[0][:first].ravel()
     precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)

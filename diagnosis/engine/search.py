@@ -65,9 +65,9 @@ def search(log: EngineLog, candidates: Sequence[Candidate], most: int) -> Found:
     return _weighed(log, pool, first, candidates)
 
 
-def _refine(log: EngineLog, pool: dict[str, Cause], beside: Cause, ranked: Sequence[Screened], most: int) -> None:
+def _refine(log: EngineLog, pool: dict[str, Cause], base: Cause, ranked: Sequence[Screened], most: int) -> None:
     """Refine the best of what was screened next to a cause, and add them to the pool."""
-    rules, start = log.rules.search, beside.log_evidence(log)
+    rules, start = log.rules.search, base.log_evidence(log)
     gained = 0.0
     for number, each in enumerate(ranked[:most]):
         promised = each.log_evidence - start
@@ -76,7 +76,7 @@ def _refine(log: EngineLog, pool: dict[str, Cause], beside: Cause, ranked: Seque
         if rules.rival_factor * max(promised, 0.0) + rules.large_screen_error < gained:
             break
         try:
-            cause = refined(log, (*beside.effects, each.effect), np.concatenate([beside.values, each.values]))
+            cause = refined(log, (*base.effects, each.effect), np.concatenate([base.values, each.values]))
         except Diverged:
             continue
         pool[cause.key] = cause

@@ -56,7 +56,7 @@ class Excitation:
     def hidden(self) -> tuple[Column, ...]:
         """Numbers of which the motion tells little: they stay as uncertain as they are."""
         pairs = zip(self.columns, self.sds, strict=True)
-        return tuple(column for column, sd in pairs if sd > FIXED.excite_told * column.size)
+        return tuple(column for column, sd in pairs if sd > FIXED.excite_min_sd * column.size)
 
     def to_json(self) -> dict[str, Any]:
         """What it will tell, as a JSON file has it."""
@@ -131,7 +131,7 @@ def design_motion(
     values = [_nats(information, family, each) for each in kept]
     best = kept[int(np.argmax(values))]
     usual = _nats(information, family, _kept(information, family, found[0][1]))
-    return _told(body, information, family, best, max(values), usual, within.assumed)
+    return _design(body, information, family, best, max(values), usual, within.assumed)
 
 
 def _improved(
@@ -188,7 +188,7 @@ def _nats(information: Information, family: Family, of: Coefficients) -> float:
 
 
 @torch.no_grad()
-def _told(
+def _design(
     body: Body,
     information: Information,
     family: Family,

@@ -63,8 +63,8 @@ def with_smaller_residual(problem: DiagnosisProblem, model: ArmModel, path: Tens
     and the better of both paths is taken.
     """
     rules, quiet = problem.rules.descent, problem.with_residual(max(size, problem.min_size), model)
-    own = gauss_newton_path(quiet, problem.observations, path, rules.firm_steps, rules.path_tolerance)
-    problem.budget.spend(FIXED.firm_cost, model, len(path))
+    own = gauss_newton_path(quiet, problem.observations, path, rules.quiet_steps, rules.path_tolerance)
+    problem.budget.spend(FIXED.quiet_cost, model, len(path))
     if not model.effects.abrupt:
         return own
     other = continued(problem, model, path, size)

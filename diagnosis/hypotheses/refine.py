@@ -148,7 +148,7 @@ class _Descent:
                 # Of rounds that are as good the last one: where it was expanded is nearest to where it ends.
                 self.best, self.worth, self.most_seen = replace(cause, about=point), true, max(true, self.most_seen)
             least = self.enough if done else self.doubtful
-            hopeless = cause.log_evidence < least and cause.kappa < rules.max_lost_kappa
+            hopeless = cause.log_evidence < least and cause.kappa < rules.max_unfitted_kappa
             # A path that was found under another residual is bent by it.
             # Where several parameters are known only together, a step that is short in each may be a long one.
             settled = (off < rules.settled_sds).all() and promised < self.unseen_gain

@@ -85,10 +85,10 @@ def _begin(found: HypothesisPool, start: Start) -> None:
     if not effects:
         return
     problem = found.problem
-    begun = attempt(refine, problem, effects, start.values, found.path, problem.regime.path_size)
-    if begun is not None and begun.plausible and begun.log_evidence > found.pool[""].log_evidence:
+    first = attempt(refine, problem, effects, start.values, found.path, problem.regime.path_size)
+    if first is not None and first.plausible and first.log_evidence > found.pool[""].log_evidence:
         found.everywhere = start.everywhere
-        found.add(begun)
+        found.add(first)
         problem.budget.share = problem.rules.search.started_share
 
 

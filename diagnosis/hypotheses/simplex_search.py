@@ -39,7 +39,7 @@ def _quantiles(parameter: Parameter, rules: Rules) -> tuple[float, ...]:
     return tuple(torch.quantile(draws, torch.tensor(rules.descent.prior_quantiles).double()).tolist())
 
 
-def log_spread(parameter: Parameter, rules: Rules = DEFAULT) -> float:
+def log_sd_prior(parameter: Parameter, rules: Rules = DEFAULT) -> float:
     """Standard deviation of a positive parameter's logarithm under its prior, from the quantiles that the grid has."""
     low, *_, high = np.log(_quantiles(parameter, rules))
     first, *_, last = ndtri(rules.descent.prior_quantiles)

@@ -200,7 +200,7 @@ def diagnosis_problem(
         _check_torques(recording.name, model, angle, velocity, rules, force)
     check_conventions(recording.name, model, problem.observations, rules, force)
     if starts:
-        model = model.starting_anew(starts, angle[starts])
+        model = model.restarted_at(starts, angle[starts])
     fast = velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt()
     model = model.moving(fast * rules.recording.motion_share)
     model = model.in_substeps(sufficient_substeps(model, usual))

@@ -178,8 +178,8 @@ def linear_effects(
     """
     joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     required, number = along.required, along.columns.number
-    asked = motion.demanded / factor - motion.servo_drag
-    torque, parts = limited(body, asked) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * len(joints)
+    wanted = motion.demanded / factor - motion.servo_drag
+    torque, parts = limited(body, wanted) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * len(joints)
     needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
     whole = np.maximum(needed, given)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
@@ -210,7 +210,7 @@ def linear_effects(
     return LinearEffects(
         low_passed(torque - required, motion, cutoff),
         low_passed(motion.torque + motion.servo_drag - required, motion, cutoff),
-        torque == asked + motion.servo_drag,
+        torque == wanted + motion.servo_drag,
         along.columns.map(lambda X: np.ascontiguousarray(low_passed(X.T, motion, cutoff).T)),
         along.variance,
         kinds,
@@ -242,7 +242,7 @@ def required_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> n
 
 
 def limited(body: Any, torque: np.ndarray) -> np.ndarray:
-    """What servos give of the ``torque`` (R, K) that they ask for; of other joints all of it."""
+    """What servos give of the ``torque`` (R, K) that they demand; of other joints all of it."""
     every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
     servos = [None if parts is None else parts.servo for parts in every]
     limits = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]

@@ -134,7 +134,7 @@ def _of_stretch(
     passive: bool,
 ) -> MeasuredMotion:
     q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
-    command = given = demanded = held_mean(time, torque, smoothed.time)
+    command = given = demanded = hold_mean(time, torque, smoothed.time)
     drag = servo_damping(body) * qd
     if not passive:
         at = [torch.as_tensor(each) for each in (command, q, qd)]
@@ -151,7 +151,7 @@ def servo_damping(body: ArticulatedBody) -> np.ndarray:
     return np.array([0.0 if own is None else own.servo_damping for own in every])
 
 
-def held_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def hold_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Means (R, K) over the steps around times ``at`` (R,) of ``values`` (T, K), each constant until the next row."""
     middle = (at[1:] + at[:-1]) / 2
     edges = np.concatenate([at[:1], middle, at[-1:]]).clip(time[0], time[-1])

@@ -7,7 +7,7 @@ which no expansion about the file's gain describes. So a regression is made abou
 
 It is a regression of s on τ, and not of τ on s, as all that the file lacks moves s and not τ (instrumental variables).
 Where τ says the same as X, as at a hinge that no gravity loads, it is γ that counts: X has a small weight.
-A robot's servos are alike: where the log says nothing of one, and most others differ from the file, its γ is their
+A robot's servos are equal: where the log says nothing of one, and most others differ from the file, its γ is their
 median. The true gain is K/γ. Within a factor of two of the file's it stays 1, and the regression itself finds the rest.
 Rows in which the file's servo would be at its limits either tell nothing, or are like others, as its gain is less. Of
 the two, that is taken which leaves less of what the servo then gives, s/γ within its limits.

@@ -127,10 +127,10 @@ def drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[Numb
     rng = np.random.default_rng(0)
     whole = fit.covariance + fit.discrepancy.sum(0)
     sd = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
-    alike = whole / sd[:, None] / sd
+    correlation = whole / sd[:, None] / sd
     # columns that say nearly the same have eigenvalues that are below zero by rounding
     values = sd * rng.multivariate_normal(
-        np.zeros(len(sd)), alike, FIXED.regression_draws, check_valid="ignore", method="eigh"
+        np.zeros(len(sd)), correlation, FIXED.regression_draws, check_valid="ignore", method="eigh"
     )
     floor = effects.least[list(fit.chosen.columns)]
     sets = (replace(fit.chosen, values=np.maximum(fit.chosen.values + each, floor)) for each in values)

@@ -32,7 +32,20 @@ from invdyn.diagnosis.report.words import (
 from invdyn.diagnosis.rules import FIXED
 from invdyn.recordings.atomic import write_text
 
-TOLD = (apart, fixed, handies, handy, known, percent, plain, estimate, plus_minus, cause_words, finding_words, meaning)
+GIVEN = (
+    apart,
+    fixed,
+    handies,
+    handy,
+    known,
+    percent,
+    plain,
+    estimate,
+    plus_minus,
+    cause_words,
+    finding_words,
+    meaning,
+)
 """Functions that the page's template calls."""
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -77,7 +90,7 @@ def render(diagnosis: Diagnosis) -> str:
         screened=[(key_words(key, diagnosis), fixed(value, 1)) for key, value in diagnosis.screened],
         words_of=partial(key_words, diagnosis=diagnosis),
         method={name.replace("_", " "): text for name, text in diagnosis.method.items()},
-        **{each.__name__: each for each in TOLD},
+        **{each.__name__: each for each in GIVEN},
         script=Markup(script),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         digest=digest(script),

@@ -237,7 +237,7 @@ def _zero(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
 
 
 def _gravity(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
-    """Turned gravity in the body's frame; each angle moves its coordinates by themselves, to first order."""
+    """Rotated gravity in the body's frame; each angle moves its coordinates by themselves, to first order."""
     given, own = finding.parameters, torch.tensor(body.gravity, dtype=torch.float64)
 
     def at(**other: float) -> torch.Tensor:

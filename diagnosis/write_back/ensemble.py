@@ -155,7 +155,7 @@ def randomisation(
             for n, values in zip(numbers, columns.values(), strict=True)
             if len(moving) > 1 and np.isfinite(values).all() and values.std() > 0
         ],
-        "not_told_by_the_log": _not_told(diagnosis),
+        "not_told_by_the_log": _not_identified(diagnosis),
         "not_in_the_files": unsaid,
         "mjx": [_mjx(n) for n in numbers if n["quantity"] in MJX],
         "isaac_lab": [_isaac_lab(n) for n in numbers if n["quantity"] in ISAAC_LAB],
@@ -202,7 +202,7 @@ def _range(change: FileChange, values: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _not_told(diagnosis: Diagnosis) -> list[str]:
+def _not_identified(diagnosis: Diagnosis) -> list[str]:
     """Numbers of the causes that the log says nothing of: as wide as the prior."""
     found: dict[str, None] = {}
     for cause in diagnosis.causes:

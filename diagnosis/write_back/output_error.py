@@ -4,11 +4,11 @@
     e = q_sim(z) − q                                        s = noise and `refine_floor` of the joint's motion
 
 (Ljung 1999, System Identification, §7.2, with the variance of each window and joint unknown: its likelihood is a
-Student t's. What no number explains, such as a servo that slews, then counts little beside what one does.) A window
+Student t's. What no number explains, such as a servo that slews, then counts little next to what one does.) A window
 begins at the smoothed state (:mod:`.engine_replays`); n is its length in correlation times. Gauss–Newton with damped
 steps; slopes are differences of replays, all of a window in one batch.
 
-Every third window is held out. There the fit is compared with the file and with what the regression alone writes, and
+Every third window is inside out. There the fit is compared with the file and with what the regression alone writes, and
 the likelihood is tempered, H/c² + prior, until an ensemble's bands hold `ensemble_coverage` of the rows: what the
 simulation lacks is then in its width, and a number of which the logs say nothing stays as wide as its prior.
 
@@ -42,7 +42,7 @@ from invdyn.recordings import Recording
 class OutputError:
     """A file's numbers after the fit.
 
-    `changes` have 90 % ranges of `draws` (D, N), which are of the ensemble's spread. `rms` is of held-out windows,
+    `changes` have 90 % ranges of `draws` (D, N), which are of the ensemble's own scatter. `rms` is of held-out windows,
     rad, by "file", "regression" and "refined", each by joint; `coverage` what the ensemble's band holds there.
     """
 
@@ -123,10 +123,10 @@ def refined(
     found_by_regression = numbers.mean
     numbers = replay.numbers = _started(replay, some)
     z, _ = _fitted(replay, some, numbers.mean, partial(report, "first replays"))
-    z, told = _fitted(replay, fitted, z, partial(report, "all replays"))
+    z, information = _fitted(replay, fitted, z, partial(report, "all replays"))
     unit = np.random.default_rng(seed).standard_normal((draws, len(z)))
     for scale in FIXED.ensemble_scales:
-        root = np.linalg.cholesky(told / scale**2 + np.diag(1 / numbers.sd**2))
+        root = np.linalg.cholesky(information / scale**2 + np.diag(1 / numbers.sd**2))
         members = z + np.linalg.solve(root.T, unit.T).T
         coverage = _coverage(replay, members, held_out, _floor(fitted))
         if coverage >= FIXED.ensemble_coverage:
@@ -142,7 +142,7 @@ def refined(
 
 
 def split(every: Sequence[Window]) -> tuple[list[Window], list[Window]]:
-    """Windows to fit, and every third one, which is held out; of many, `max_refine_windows` that lie evenly."""
+    """Windows to fit, and every third one, which is inside out; of many, `max_refine_windows` that lie evenly."""
     order = np.linspace(0, len(every) - 1, min(len(every), FIXED.max_refine_windows)).round().astype(int)
     return [every[n] for m, n in enumerate(order) if m % 3 != 2], [every[n] for n in order[2::3]]
 
@@ -176,18 +176,18 @@ def _fitted(
     def run(z: np.ndarray) -> list[np.ndarray]:
         return [replay.errors(z, each) for each in replayed]
 
-    now, told = float(cost(z[None], run(z[None]))[0]), np.zeros((len(z), len(z)))
+    now, information = float(cost(z[None], run(z[None]))[0]), np.zeros((len(z), len(z)))
     for done in range(FIXED.refine_rounds):
         report(done)
         moved = [replay.errors(np.concatenate([z[None], z + np.diag(step)]), each) for each in replayed]
-        told, pull = np.zeros((len(z), len(z))), (mean - z) / sd**2
+        information, pull = np.zeros((len(z), len(z))), (mean - z) / sd**2
         for each in moved:
             here = each[0]
             weight = np.sqrt(count / len(here) / ((here**2).mean(0) + floor**2))
             slope = (weight * (each[1:] - here) / step[:, None, None]).reshape(len(z), -1)
-            told = told + slope @ slope.T
+            information = information + slope @ slope.T
             pull = pull - slope @ (weight * here).ravel()
-        precision = told + np.diag(1 / sd**2)
+        precision = information + np.diag(1 / sd**2)
         tried = np.array(
             [z + np.linalg.solve(precision + d * np.diag(np.diag(precision)), pull) for d in FIXED.refine_steps]
         )
@@ -196,7 +196,7 @@ def _fitted(
         if costs[best] > now - FIXED.refine_gain:
             break
         z, now = tried[best], float(costs[best])
-    return z, told
+    return z, information
 
 
 def _report(progress: Callable[[int, int, str], None] | None, what: str, done: int) -> None:
@@ -212,9 +212,9 @@ def _floor(replayed: Sequence[Window]) -> np.ndarray:
 
 def _coverage(replay: Replays, members: np.ndarray, replayed: Sequence[Window], floor: np.ndarray) -> float:
     """Share of rows and joints that members' central 90 % holds, as wide as 90 % of the floor's normal at least."""
-    held: list[Any] = []
+    inside: list[Any] = []
     for window in replayed:
         low, high = np.quantile(replay.errors(members, window), [0.05, 0.95], axis=0)
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, Z_90 * floor)
-        held.append(np.abs(middle) <= half)
-    return float(np.mean([each.mean() for each in held]))
+        inside.append(np.abs(middle) <= half)
+    return float(np.mean([each.mean() for each in inside]))

@@ -187,7 +187,7 @@ def best_guide(
     return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence, doubt=doubt)
 
 
-def bears_out(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, ahead: Evidence) -> bool:
+def guides_agree(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, ahead: Evidence) -> bool:
     """Whether filters that look ahead, of evidence ``ahead``, agree, and no bootstrap pilot of ``seed`` is higher."""
     if not ahead.standing:
         return False

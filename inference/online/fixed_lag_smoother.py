@@ -290,7 +290,7 @@ class FixedLagSmoother:
 
     @torch.no_grad()
     def _linearised(self) -> tuple[Linearisation, Tensor, Tensor]:
-        """The model along the window's path, by one evaluation of all its rows; where the last row leads, and slopes.
+        """The model along the window's path, by one evaluation of all its rows; the last row's next state, and slopes.
 
         The state after the last row is needed when the next one comes, and costs nothing more here.
         """

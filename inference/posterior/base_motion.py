@@ -50,7 +50,7 @@ NOISES = np.array([0.5, 0.7, 1.0, 1.4])
 """Grid of the noise, times the jitter."""
 FINER = np.geomspace(0.75, 1 / 0.75, 5)
 """Of a second, finer grid, times the first one's best."""
-USUAL, SPREAD, SHORTEST = 0.15, 0.7, 2.0
+USUAL, LOG_LENGTH_SD, SHORTEST = 0.15, 0.7, 2.0
 """Prior of ℓ, s and sd of its logarithm: steps of people, vehicles. And the least ℓ, in rows: what changes faster than
 rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
@@ -228,7 +228,7 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
         values = {"base.scale": scale, "base.lengthscale": length}
         values |= {name: value.expand_as(scale) for name, value in fixed.items()}
         evidence, _ = filtered(base, values, time[part], about[part], noise, smooth=False)
-        prior = -0.5 * (np.log(length.numpy() / USUAL) / SPREAD) ** 2
+        prior = -0.5 * (np.log(length.numpy() / USUAL) / LOG_LENGTH_SD) ** 2
         best = np.nanargmax(evidence + prior, axis=0)
         chosen, own = tried[best, range(axes)], evidence[best, range(axes)]
     found = {"base.scale": chosen[:, 0], "base.lengthscale": chosen[:, 1], **wide}

@@ -75,7 +75,7 @@ def _covers(part: Tensors, when: float) -> bool:
 
 
 def _aligned(part: Tensors, times: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean and spread (2, N) of each joint at times on the trial's clock."""
+    """Mean and sd (2, N) of each joint at times on the trial's clock."""
     both = np.stack([part[name].numpy() for name in ("mean", "spread")])
     found = at_times(part["time"].numpy(), both, times)
     return {joint: found[:, :, k] for k, joint in enumerate(said(part)["joints"])}

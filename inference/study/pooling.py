@@ -14,14 +14,15 @@ Priors: μ flat, each τ half-normal (Gelman 2006, Bayesian Analysis 1, 515–53
     subject, session × condition    the larger of
                              sd of y about subject and condition, over √2: an effect, which is the difference of two of
                              these, then differs between subjects about as much as trials of one cell do
-                             upper 75 % limit, by χ², of the sd of the cells' means about subject and condition: two
-                             or three subjects tell this sd so roughly that it is often much too small
+                             upper 85 % limit, by χ², of the sd of the cells' means about subject and condition: where
+                             trials are precise, the interval of a difference is then Student's, of one degree of
+                             freedom less than there are subjects, which is exact
 
 No sum of squares counts as less than the errors alone would leave, so that equal estimates have scales too.
 
 Given τ all is Gaussian, and log p(y | τ) is known in closed form. The τ are integrated out by importance sampling on
-Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ twice. What is needed of μ is
-a mixture of normals. Nothing is random: the same numbers give the same answer.
+Sobol points, half of them of the prior and half of a Student's t that is fitted to log τ, twice or more often. What is
+needed of μ is a mixture of normals. Nothing is random: the same numbers give the same answer.
 
 Shapes: n trials, C conditions, G sets of τ, q = C + all groups.
 """
@@ -35,13 +36,15 @@ from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr, ndtri
 from scipy.stats import chi2, multivariate_t, qmc
 
-SETS, ROUNDS, DF, WIDENING = 1024, 2, 5.0, 1.3
-"""Sets of τ; fits of Student's t, its degrees of freedom, and by how much it is wider than the sets' own spread."""
-MIN_SPREAD = 1e-4
+SETS, DF, WIDENING = 1024, 5.0, 1.3
+"""Sets of τ; degrees of freedom of Student's t, and by how much it is wider than the sets' own spread."""
+MIN_ROUNDS, MAX_ROUNDS, MIN_SHARE = 2, 12, 0.15
+"""Fits of Student's t, until the effective number of sets is that share of all: two, but for very precise trials."""
+MIN_SD = 1e-4
 """Of the scale: below it an sd counts as none."""
 OF_TRIALS = 2.0
 """Of the scale: prior scale of the spread between trials."""
-LIMIT = 0.25
+LIMIT = 0.15
 """Probability of a χ² below which the upper limit of an sd takes its sum of squares to be."""
 MIN_TRIALS = 2
 
@@ -145,16 +148,18 @@ def pool(
     whose["session"] = _numbered(list(zip(subject, session, strict=True)))
     scale, *others = _prior_scales(y, s, own, whose, groups)
     log_scale = np.log([OF_TRIALS * scale, *others]) - np.log(scale)
-    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SPREAD)
+    y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SD)
     design = _indicators(own, *groups.values())
     sizes = np.array([z.max() + 1 for z in groups.values()], int)
     log_tau = _prior_points(log_scale, sets)
     log_weights, *_ = _given(log_tau, y, s, design, len(levels), sizes)
-    for _ in range(ROUNDS):
+    for done in range(1, MAX_ROUNDS + 1):
         log_tau, importance = _adapted(log_tau, log_weights, log_scale)
         evidence, means, covariances = _given(log_tau, y, s, design, len(levels), sizes)
         log_weights = evidence + importance
-    weights = np.exp(log_weights - logsumexp(log_weights))
+        weights = np.exp(log_weights - logsumexp(log_weights))
+        if done >= MIN_ROUNDS and 1 / (weights**2).sum() >= MIN_SHARE * sets:
+            break
     return Pooled(
         tuple(levels.tolist()),
         weights,
@@ -207,7 +212,7 @@ def _prior_scales(
     s = np.maximum(s, 1e-9 * (np.abs(y).max() or 1.0))  # what is left of equal estimates by rounding is nothing
     squares, free = _left(y, s**2, whose["subject"])
     scale = float(np.sqrt(squares / len(y))) if free else max(spread, float(s.mean()))
-    s = np.maximum(s, MIN_SPREAD * scale)
+    s = np.maximum(s, MIN_SD * scale)
     squares, free = _left(y, s**2, whose["subject"], own)
     of_effect = float(np.sqrt(squares / free / 2)) if free else scale / np.sqrt(2)
     scales = [scale]
@@ -268,7 +273,7 @@ def _student_points(dimensions: int, count: int) -> np.ndarray:
 
 def _prior_points(log_scale: np.ndarray, count: int) -> np.ndarray:
     """Points log τ (G, d) of the prior, whose scales are e^log_scale (d,)."""
-    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), MIN_SPREAD)) + log_scale
+    return np.log(np.maximum(ndtri((1 + _points(len(log_scale), count)) / 2), MIN_SD)) + log_scale
 
 
 def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -279,7 +284,7 @@ def _adapted(log_tau: np.ndarray, log_weights: np.ndarray, log_scale: np.ndarray
     covariance = (log_tau - centre).T @ (weights[:, None] * (log_tau - centre))
     shape = WIDENING**2 * covariance + 1e-3 * np.eye(dimensions)
     near = centre + _student_points(dimensions, count // 2) @ np.linalg.cholesky(shape).T
-    near = np.clip(near, np.log(MIN_SPREAD) + log_scale, np.log(8.0) + log_scale)
+    near = np.clip(near, np.log(MIN_SD) + log_scale, np.log(8.0) + log_scale)
     both = np.concatenate([near, _prior_points(log_scale, count - count // 2)])
     # The density of log τ is that of a half-normal times τ.
     own = both - log_scale

@@ -12,7 +12,7 @@
                                                 time [trial, row] s; NaN after a trial's last row; event_<name>
                                                 [trial], s by its clock
     sto/<trial>.sto                             torques of each trial with their 90 % band, for OpenSim
-    nwb/<subject>_<session>.nwb                 the same of a session, and its keypoints, where that is asked for
+    nwb/<subject>_<session>.nwb                 the same of a session, and its keypoints, where that is wanted
 
 In names of files, letters, digits, - and . stay; all else becomes _. All files appear together
 (:func:`invdyn.recordings.whole_set`).

@@ -355,13 +355,13 @@ class ArmModel(StateSpaceModel):
         turned = torch.stack([lowest, highest], -1).detach().cpu().double()
         return self._with(experience=replace(self.experience, range=turned))
 
-    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
+    def restarted_at(self, rows: Sequence[int], angle: Tensor) -> "ArmModel":
         """The model of several recordings one after another: at ``rows`` (R,) the body starts again.
 
         There the state does not follow from the row before, but is drawn as the first one is, with angles within
         about half a turn of ``angle`` (R, K) rad.
         """
-        return self._with(timeline=self.timeline.starting_anew(rows, angle))
+        return self._with(timeline=self.timeline.restarted_at(rows, angle))
 
     # -- a start for linearisation -------------------------------------------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:

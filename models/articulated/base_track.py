@@ -29,8 +29,8 @@ def without_outliers(track: np.ndarray, noise: float) -> np.ndarray:
     """A track (T, d) with detections that are far off their neighbours missing, of a tracker's ``noise`` sd."""
     near = _windows(track, PAIRS)
     off = track - _nanmedian((near[..., :PAIRS] + near[..., :PAIRS:-1]) / 2)
-    spread = noise + 1.4826 * _nanmedian(np.abs(_windows(off, WINDOW)))
-    far = (np.abs(off) > FAR * spread).any(-1)
+    sd = noise + 1.4826 * _nanmedian(np.abs(_windows(off, WINDOW)))
+    far = (np.abs(off) > FAR * sd).any(-1)
     return np.where(far[:, None], np.nan, track)
 
 
@@ -79,9 +79,9 @@ def filtered(
         ahead.append((mean, cov))
         seen = np.isfinite(row)
         off = np.where(seen, row - mean[..., 0], 0.0)
-        spread = cov[..., 0, 0] + r2
-        gain = np.where(seen[..., None], cov[..., 0] / spread[..., None], 0.0)
-        evidence = evidence - 0.5 * np.where(seen, off**2 / spread + np.log(2 * math.pi * spread), 0.0)
+        variance = cov[..., 0, 0] + r2
+        gain = np.where(seen[..., None], cov[..., 0] / variance[..., None], 0.0)
+        evidence = evidence - 0.5 * np.where(seen, off**2 / variance + np.log(2 * math.pi * variance), 0.0)
         mean = mean + gain * off[..., None]
         cov = cov - gain[..., :, None] * cov[..., None, 0, :]
         behind.append((mean, cov))

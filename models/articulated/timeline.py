@@ -65,7 +65,7 @@ class Timeline:
         """The grid where commands are known from the time ``begin``, s."""
         return replace(self, since=self.time - begin.to(self.time))
 
-    def starting_anew(self, rows: Sequence[int], angle: Tensor) -> Self:
+    def restarted_at(self, rows: Sequence[int], angle: Tensor) -> Self:
         """The grid of several recordings one after another: at ``rows`` (R,) one starts, about ``angle`` (R, K) rad."""
         first = torch.zeros(len(self.time), dtype=torch.bool)
         middle = torch.zeros(len(self.time), angle.shape[-1], dtype=torch.float64)

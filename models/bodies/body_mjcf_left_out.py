@@ -73,13 +73,13 @@ def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
     plain = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_NONE)
     affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
     bias, gain, filtered = model.actuator_biastype, model.actuator_gaintype, model.actuator_dyntype
-    held = model.actuator_biasprm
-    servo = (bias == affine) & (held[:, 1] != 0)
-    speed = (bias == affine) & (held[:, 1] == 0) & (held[:, 2] != 0)
+    gains = model.actuator_biasprm
+    servo = (bias == affine) & (gains[:, 1] != 0)
+    speed = (bias == affine) & (gains[:, 1] == 0) & (gains[:, 2] != 0)
     kinds = {
         "position servos": servo,
         "velocity servos": speed,
-        "constant forces of actuators": (bias == affine) & (held[:, 0] != 0),
+        "constant forces of actuators": (bias == affine) & (gains[:, 0] != 0),
         "muscles and other actuators with a law of their own": ~np.isin(bias, [plain[0], affine]) | (gain != plain[1]),
         "activation dynamics": filtered != plain[2],
         "gears": model.actuator_gear[:, 0] != 1,
@@ -96,7 +96,7 @@ def _actuators(mujoco: Any, model: Any, motors: Collection[int]) -> list[str]:
         ]
         + listed(
             "constant forces of motors",
-            _of(model.actuator, np.flatnonzero((bias == affine) & (held[:, 0] != 0) & ~(servo | speed | open_ones))),
+            _of(model.actuator, np.flatnonzero((bias == affine) & (gains[:, 0] != 0) & ~(servo | speed | open_ones))),
         )
         + listed(
             "limits of servos' targets",

@@ -88,8 +88,8 @@ def of(document: Element, where: str) -> Robot:
             raise BodyError(f"{where}: joint '{waiting[0].get('name')}' hangs on no body that hangs on the ground")
         waiting.remove(ready)
         _add(read, ready)
-    if loose := [name for name in bodies if name not in read.places]:
-        raise BodyError(f"{where}: body '{loose[0]}' hangs on nothing: expected a joint of which it is the child")
+    if unattached := [name for name in bodies if name not in read.places]:
+        raise BodyError(f"{where}: body '{unattached[0]}' hangs on nothing: expected a joint of which it is the child")
     gravity = Y_UP @ numbers(model, "gravity", where, "0 -9.80665 0")
     parts = [*_marked(read, model)]
     return Robot(parts, gravity, named(model, read.coupled, read.unplaced), angles_are_free=False)
@@ -140,8 +140,8 @@ def _axes(joint: Element, where: str, coupled: list[str]) -> list[_Axis]:
         if len(own) != 6:
             raise BodyError(f"{where}: expected a SpatialTransform of three rotations and three shifts")
         found = [_custom(each, n < 3, coordinates, where) for n, each in enumerate(own)]
-        held = [each for each in found if each.coordinate and each.coordinate.startswith("=")]
-        for each in held:
+        fixed = [each for each in found if each.coordinate and each.coordinate.startswith("=")]
+        for each in fixed:
             words = "rotation" if each.turns else "shift"
             line = f"a {words} of {joint.get('name')} with {str(each.coordinate)[1:]}"
             coupled += [] if line in coupled else [line]

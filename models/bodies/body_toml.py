@@ -21,7 +21,7 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
     mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
     mass = {start = 1.5}            # learned from the recording, beginning here
 
-A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `from_files.py`.
+A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`.
 
 A tree in space:
 
@@ -78,7 +78,7 @@ ROTATIONS = {"rpy": from_rpy, "quaternion": from_quaternion, "axes": from_axes}
 JOINT_KEYS = ("type", "axis", "chart")
 VECTORS = ("origin", "com", "inertia")
 LOAD = "load"
-"""A point mass that a link carries, see :mod:`.from_files`."""
+"""A point mass that a link carries, see :mod:`.load`."""
 PLANAR_KEYS = (*PLANAR_REQUIRED, "com", "inertia")
 TREE_KEYS = (*PLANAR_KEYS, "parent", *JOINT_KEYS, "reference", *ROTATIONS, "origin", "sites")
 

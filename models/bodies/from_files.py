@@ -1,21 +1,10 @@
-"""Bodies out of files and into them, of any format that is known; for the formats see each one's own file.
-
-A link of a file may carry a load, a point mass of M kg at a. With the link's mass m, centre of mass c and inertia I
-about it,
-
-    m' = m + M     c' = (m c + M a) / m'     I' = I + m s(c − c') + M s(a − c'),   s(r) = |r|² 1 − r rᵀ
-
-Of a stick in the plane a and c are numbers along it, and s(r) = r².
-"""
+"""Bodies out of files and into them, of any format that is known; for the formats see each one's own file."""
 
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self
-
-import numpy as np
+from typing import Self
 
 from invdyn.models.bodies import (
     body_chain,
@@ -28,12 +17,13 @@ from invdyn.models.bodies import (
     planar,
 )
 from invdyn.models.bodies.body_toml import LOAD
-from invdyn.models.bodies.inertia import Moment, placeholder_warning, six, tensor
+from invdyn.models.bodies.inertia import Moment, placeholder_warning
 from invdyn.models.bodies.joints import Joint
 from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.load import loaded
 from invdyn.models.bodies.parts import is_planar_chain
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.bodies.scalars import BodyError, check_keys, nominal, number
+from invdyn.models.bodies.scalars import BodyError, nominal
 from invdyn.models.bodies.tree_parameters import vector_of
 from invdyn.models.bodies.whole_file import read_whole
 
@@ -116,61 +106,3 @@ class FromFiles(ArticulatedBody):
 def _link(table: dict) -> Link:
     own, joint = {key: value for key, value in table.items() if key != LOAD}, table["joint"]
     return loaded(Link(**own | {"joint": Joint(**joint) if isinstance(joint, dict) else joint}), table.get(LOAD))
-
-
-def loaded(link: Link, load: Any) -> Link:
-    """The link with a file's ``load = {mass = kg, at = m or [x, y, z]}``; the same without one.
-
-    Raises `BodyError` for another table, a mass that is not positive, a place that is not of the link's kind, and a
-    link whose mass, centre of mass or inertia is a prior, learned, or in space not stated.
-    """
-    if load is None:
-        return link
-    where = f"link '{link.name}': load"
-    if not isinstance(load, dict) or set(load) != {"mass", "at"}:
-        if isinstance(load, dict):
-            check_keys(load, ("mass", "at"), where)
-        raise BodyError(f"{where}: expected {{mass = kg, at = m along the link}}, got {load!r:.60}")
-    mass = number(load["mass"], f"{where}: mass in kg")
-    if not mass > 0:
-        raise BodyError(f"{where}: expected a positive mass in kg, got {mass:g}")
-    at: Any
-    com: Any
-    inertia: Any
-    own = [link.mass, link.com, link.inertia]
-    if not all(value is None or _is_known(value) for value in own):
-        raise BodyError(f"{where}: expected numbers as the link's own mass, com and inertia, got a prior or a start")
-    if isinstance(load["at"], list | tuple):
-        if (
-            len(load["at"]) != 3
-            or link.com is None
-            or link.inertia is None
-            or link.along("com")
-            or link.along("inertia")
-        ):
-            raise BodyError(
-                f"{where}: expected at as one number along a stick, or [x, y, z] of a link with com and inertia"
-            )
-        at = np.array([number(x, f"{where}: at in m") for x in load["at"]])
-        com, inertia = np.array(link.com, float), tensor(np.array(link.inertia, float))
-    else:
-        if link.length is None:
-            raise BodyError(f"{where}: expected at as [x, y, z] of a link without a length, got {load['at']!r:.40}")
-        at = number(load["at"], f"{where}: at in m")
-        com, inertia = link.nominal("com"), link.nominal("inertia")
-    before = link.nominal("mass")
-    total = before + mass
-    centre = (before * com + mass * at) / total
-    moved = inertia + before * _about(com - centre) + mass * _about(at - centre)
-    new = (float(centre), float(moved)) if np.ndim(centre) == 0 else (centre.tolist(), six(moved).tolist())
-    given = {each.name: getattr(link, each.name) for each in fields(link)}
-    return Link(**given | {"mass": total, "com": new[0], "inertia": new[1]})
-
-
-def _is_known(value: Any) -> bool:
-    return all(isinstance(x, int | float) for x in (value if isinstance(value, tuple | list) else (value,)))
-
-
-def _about(place: Any) -> Any:
-    """s(r)."""
-    return place**2 if np.ndim(place) == 0 else place @ place * np.eye(3) - np.outer(place, place)

@@ -32,7 +32,7 @@ from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, JointParts], set[int]]:
     """Parts of hinges and slides, by the names of all joints, in the file's own angles; and their actuators."""
     found: dict[str, JointParts] = {}
-    played: set[int] = set()
+    used: set[int] = set()
     for j, name in enumerate(names):
         if int(model.jnt_type[j]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
             continue  # an enum of MuJoCo's equals a number from one side alone
@@ -40,7 +40,7 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
         own = actuators_of(mujoco, model, j)
         motor = None
         if len(own) == 1 and (motor := _motor(mujoco, model, own[0], j)) is not None:
-            played.add(own[0])
+            used.add(own[0])
         damping = _first(model.dof_damping[dof])
         step, late = _step(mujoco, model, damping, 0.0 if motor is None else motor.damping)
         parts = JointParts(
@@ -57,7 +57,7 @@ def read(mujoco: Any, model: Any, names: Sequence[str]) -> tuple[dict[str, Joint
             parts = replace(parts, rest=0.0)
         if parts != NOTHING:
             found[name] = parts
-    return found, played
+    return found, used
 
 
 def joint_names(model: Any) -> list[str]:

@@ -66,12 +66,12 @@ def write_mjcf(body: Body, path: str | Path) -> None:
     that matters; `OSError` for no place.
     """
     tree = body.in_space()
-    lost = [
+    left_out = [
         ("priors (written: their means)", body.has_priors or bool(getattr(body, "uncertainty", None))),
         ("learned scalars (written: where they start)", bool(body.learned)),
         ("limits and servos of motors", any(own is not None and _is_more(own.motor) for own in tree.joint_parts)),
     ]
-    if omitted := [words for words, there in lost if there]:
+    if omitted := [words for words, there in left_out if there]:
         warnings.warn(f"{path}: MJCF cannot say {'; nor '.join(omitted)}", UserWarning, stacklevel=2)
     root = Element("mujoco", model=tree.name)
     SubElement(root, "compiler", angle="radian")

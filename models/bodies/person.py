@@ -13,7 +13,7 @@ forearm has the hand in line, and a shank has the foot at the ankle. Moments abo
 somewhat larger, of a hand by up to a half.
 
 The table states no sd. Masses of one person differ from such a table by some 10 %, centres of mass by some 5 %
-(`SPREAD`), and lengths by so much that they are learned from the recording, beginning at the table's.
+(`RELATIVE_SD`), and lengths by so much that they are learned from the recording, beginning at the table's.
 """
 
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ LIMBS = {
 }
 """Links of each limb, with joint and tip."""
 BEYOND = {"forearm": "hand", "shank": "foot"}
-SPREAD = {"mass": 0.1, "com": 0.05}
+RELATIVE_SD = {"mass": 0.1, "com": 0.05}
 """Relative standard deviations."""
 TALLEST, HEAVIEST = (0.4, 2.8), (2.0, 650.0)
 """m and kg, of all people."""
@@ -97,7 +97,7 @@ def person(
         carried = load if last else None
         links.append(_link(name, joint, tip, height / HEIGHT[sex], mass, TABLE[sex], carried))
     words = f"{limb.replace('_', ' ')} of a person of {height:g} m and {mass:g} kg ({sex})"
-    return planar_body(words, links, gravity=gravity, uncertainty=SPREAD)
+    return planar_body(words, links, gravity=gravity, uncertainty=RELATIVE_SD)
 
 
 def _link(

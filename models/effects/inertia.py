@@ -74,7 +74,7 @@ class Payload(Effect):
 
 LEAST = 0.02
 """Of the file's mass and inertia that is always left."""
-LOST = 0.8
+MAX_LOSS = 0.8
 """Of them that may plausibly be missing: arms without mass explain any recording. Twice as much may be there."""
 
 
@@ -112,9 +112,9 @@ class InertialError(Effect):
         mass, inertia = own.mass.item(), own.mean.item()
         turning = max(inertia, mass * length**2 / 12)
         return (
-            Parameter("mass", "kg", StudentT(3.0, 0.0, 0.15 * mass), least=-LOST * mass),
+            Parameter("mass", "kg", StudentT(3.0, 0.0, 0.15 * mass), least=-MAX_LOSS * mass),
             *(Parameter(name, "m", Normal(0.0, 0.1 * length)) for name in self.coms),
-            Parameter("inertia", "kg·m²", StudentT(3.0, 0.0, 0.15 * turning), least=-LOST * turning),
+            Parameter("inertia", "kg·m²", StudentT(3.0, 0.0, 0.15 * turning), least=-MAX_LOSS * turning),
         )
 
     def body(self, p: Values, body: Any) -> Any:

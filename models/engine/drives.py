@@ -25,7 +25,7 @@ WRENCH = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 
 @dataclass(frozen=True)
 class Drive(ABC):
-    """K unknown numbers and which of MuJoCo's inputs they fill; all but what was asked for is known once bound.
+    """K unknown numbers and which of MuJoCo's inputs they fill; all but the unknown ones are known once bound.
 
     Attributes:
         places: of the K inputs in the field.

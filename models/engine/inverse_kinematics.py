@@ -74,9 +74,9 @@ def poses(model: Posed, rows: np.ndarray) -> np.ndarray:
 def _first(model: Posed, row: np.ndarray) -> np.ndarray:
     """The best of several starts: the reference, and others around it."""
     rng = np.random.default_rng(0)
-    spread = rng.uniform(-1.0, 1.0, (STARTS, model.nv))
-    spread[0] = 0
-    found, merit = _solved(model, row, spread, FIRST_ROUNDS)
+    starts = rng.uniform(-1.0, 1.0, (STARTS, model.nv))
+    starts[0] = 0
+    found, merit = _solved(model, row, starts, FIRST_ROUNDS)
     near = merit <= merit.min() + 1.0
     return found[np.flatnonzero(near)[0]]  # of equals that which is nearest to the file's own pose
 

@@ -60,7 +60,7 @@ class EngineModel(StateSpaceModel):
         torque: process of the drive; Ornstein–Uhlenbeck by default.
         parameters: values that replace the defaults, by dotted name, as :class:`.ArmModel` takes them; joints are the
             degrees of freedom. And "noise.activation", "initial.activation", "initial.activation_scale" (na,).
-        given: inputs that are known, beside the drive: what a robot was commanded.
+        given: inputs that are known, in addition to the drive: what a robot was commanded.
         threads: of the simulations; all cores by default. Results do not depend on it.
 
     Raises BodyError for a model that cannot be used, ValueError for times that do not increase, sensors or parameters
@@ -91,7 +91,7 @@ class EngineModel(StateSpaceModel):
         drives = (drive or JointTorques(),) if drive is None or not isinstance(drive, Sequence) else tuple(drive)
         self.inputs = Inputs(drives, scene.model, given)
         if self.inputs.given and any(isinstance(each, Readings) for each in self.observation.sensors):
-            raise ValueError("expected sites or encoders beside given inputs, got MuJoCo's own sensors: leave them out")
+            raise ValueError("expected sites or encoders with given inputs, got MuJoCo's own sensors: leave them out")
         self.torque = torque or OrnsteinUhlenbeck()
         self.torque_size = self.torque.size(self.inputs.size)
         self.nv, self.na = int(scene.model.nv), int(scene.model.na)

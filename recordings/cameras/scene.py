@@ -14,7 +14,8 @@ from ..errors import InputError
 from ..recording import Recording
 from .bundle import bundle_adjust
 from .camera import Calibration
-from .reprojection import CameraErrors, reprojection, suspicion
+from .exchanged_cameras import suspicion
+from .reprojection import CameraErrors, reprojection
 from .triangulate import triangulate
 from .views import Views
 

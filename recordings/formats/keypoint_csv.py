@@ -24,6 +24,7 @@ from ..tables import read_header, read_table, write_table
 AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
 TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
+OF_LOGS = ("position", "velocity", "effort", "target")  # endings of a robot's own columns
 MAX_HINTS = 5  # names in a message
 
 
@@ -136,6 +137,11 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
         raise InputError("expected one column that says when, got 'time' and 'frame': leave one of them out")
     found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c not in clocks)]
     for stem, suffix in found:
+        if stem and suffix in OF_LOGS:
+            raise InputError(
+                f"expected keypoints or angles, got the column '{stem}_{suffix}' of a robot's log: pass --map, a file "
+                f"that says which column is which joint's, or rename the columns to <joint>_angle and <joint>_torque"
+            )
         if not stem or suffix not in SUFFIXES:
             stems = {s for s, _ in found if s} | {*keypoints, *joints}
             known = [*CLOCKS, *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]

@@ -50,7 +50,7 @@ def blind(tmp_path, monkeypatch, run):
     command = f"{shlex.quote(sys.executable)} {shlex.quote(str(tmp_path / 'method.py'))} {{recording}} {{body}} {{out}}"
 
     def call(*more, seed=("--seed", 11)):
-        kinds = ("--kinds", "none=2,commanded=1", "--workers", 1, "--no-confine")
+        kinds = ("--kinds", "none=2,commanded=1", "--workers", 1, "--set", "confine=no")
         return run("blind", "--out", "run", *seed, *kinds, "--method-command", command, *more)
 
     return call
@@ -165,8 +165,8 @@ BAD = {
     "a negative seed": (("--seed", "-1"), "one whole number from 0"),
     "a seed in words": (("--seed", "many"), "one whole number from 0"),
     "a large seed": (("--seed", "9" * 5000), "one whole number from 0"),
-    "no such bodies": (("--bodies", "cubes"), "--bodies: expected plane, or space with mujoco"),
-    "bodies in space by pinocchio": (("--bodies", "space", "--engine", "pinocchio"), "got 'space' with pinocchio"),
+    "no such bodies": (("--set", "bodies=cubes"), "bodies: expected plane, or space with mujoco"),
+    "bodies in space by pinocchio": (("--set", "bodies=space", "--engine", "pinocchio"), "got 'space' with pinocchio"),
     "nothing on standard input": (("--seed", "-"), "standard input: expected a seed"),
     "a user and no method": (("--set", "method_user=nobody"), "--method-command"),
     "no such user": (

@@ -47,7 +47,7 @@ def test_ended_in_the_middle_of_a_case(tmp_path, monkeypatch, run, started, numb
         made.check()
         made.make()
     command = f"{shlex.quote(sys.executable)} {shlex.quote(str(tmp_path / 'method.py'))} {{out}}"
-    options = ("--seed-file", "seed.txt", "--kinds", "none=2,commanded=1", "--workers", "1", "--no-confine")
+    options = ("--seed-file", "seed.txt", "--kinds", "none=2,commanded=1", "--workers", "1", "--set", "confine=no")
 
     def call(out):
         return ("blind", "--out", out, *options, "--method-command", command)

@@ -55,10 +55,10 @@ TRIANGULATE = (
 
 
 def test_triangulate(films, run):
-    outcome = run(*TRIANGULATE, "--errors", "e.csv", "--sd", "sd.csv", "--calibration-out", "c.toml")
+    outcome = run(*TRIANGULATE, "--errors", "e.csv", "--set", "sd=sd.csv", "--calibration-out", "c.toml")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.splitlines()[0].split() == [
-        "camera", "keypoint", "pixels", "median", "90", "%", "u", "v", "strays",
+        "camera", "keypoint", "pixels", "median", "90", "%", "u", "v", "outliers",
     ]  # fmt: skip
     assert "100.0% of all points are known" in outcome.stdout
     recording = read_keypoint_csv(films / "arm.csv")
@@ -83,7 +83,7 @@ def test_triangulate_scales_what_is_not_metric(films, run):
 
 def test_triangulate_refines_and_turns(films, run):
     outcome = run(
-        *TRIANGULATE, "--refine", "--estimate", "focal", "--up", "y", "--set", "noise=1.5", "--offset", "cam2=0"
+        *TRIANGULATE, "--refine", "--estimate", "focal", "--set", "up=y", "--set", "noise=1.5", "--offset", "cam2=0"
     )
     assert outcome.exit_code == 0, outcome.output
     assert "scale of 1.50 px" in outcome.stdout
@@ -124,7 +124,7 @@ BAD = {
     "an offset in words": ((*TRIANGULATE, "--offset", "cam2=late"), "CAMERA=SECONDS"),
     "an offset of no camera": ((*TRIANGULATE, "--offset", "cam9=1"), "cam9"),
     "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--offset", "cam2=99"), "films overlap"),
-    "up in words": ((*TRIANGULATE, "--up", "north"), "up is one of"),
+    "up in words": ((*TRIANGULATE, "--set", "up=north"), "up is one of"),
     "a lens without poses": ((*TRIANGULATE, "--estimate", "focal"), "choose both"),
     "an unknown part": ((*TRIANGULATE, "--refine", "--estimate", "iris"), "unknown part of a lens"),
     "over the tracks": ((*TRIANGULATE[:-1], "cam1.csv"), "overwrite"),
@@ -211,8 +211,18 @@ def test_calibrate_writes_what_it_found_and_says_it(films, run, monkeypatch):
 
     pytest.importorskip("cv2")
     monkeypatch.setattr(room, "calibrate", found)
-    call = ("calibrate", "cam1=a.mp4", "cam2=b.mp4", "--board", "charuco:7x5", "--square", "0.03", "--marker", "0.02")
-    outcome = run(*call, "--every", "3", "--out", "c.toml")
+    call = (
+        "calibrate",
+        "cam1=a.mp4",
+        "cam2=b.mp4",
+        "--board",
+        "charuco:7x5",
+        "--square",
+        "0.03",
+        "--set",
+        "marker=0.02",
+    )
+    outcome = run(*call, "--set", "every=3", "--out", "c.toml")
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.splitlines()[1].split()[:6] == ["cam1", "17", "0.200", "1100.0", "±", "1.5"]
     assert "3 together: 0.250 px" in outcome.stdout

@@ -12,6 +12,7 @@ import pytest
 import invdyn.inference
 from invdyn.plots import quantiles
 from invdyn.recordings import load, read_sto, read_table, read_truth
+from invdyn.renamed_options import with_new_names
 from invdyn.summary import independent_draws, summary_text
 
 GIVEN = {"arm.toml", "rec.csv", "hand.csv"}
@@ -45,6 +46,18 @@ def test_options_stand_in_groups_and_settings_below(run):
         "Settings, each as --set NAME=VALUE:",
         "Options:",
     ]
+
+
+def test_old_flags_become_values():
+    own, warned = {"--torque", "--set", "--set browser=", "--set sd="}, []
+    found = with_new_names(["a.csv", "--kinematic", "--no-browser", "--sd=x.csv"], own, {"--set"}, warned.append)
+    assert found == ["a.csv", "--torque", "none", "--set", "browser=no", "--set", "sd=x.csv"]
+    assert [line.split(";")[0] for line in warned] == [
+        "--kinematic is now --torque none",
+        "--no-browser is now --set browser=no",
+        "--sd is now --set sd=…",
+    ]
+    assert with_new_names(["--no-confine"], own, {"--set"}, warned.append) == ["--no-confine"]  # not of this command
 
 
 def test_old_options_work_with_a_warning_each(folder, quick_inference, run, contents):

@@ -83,8 +83,8 @@ def test_options_of_a_recording_are_those_of_infer(run):
     for option in shared:
         assert option in infer
         assert option in compare
-    assert "--isolate" not in infer
-    assert "--kinematic" not in compare
+    assert "isolate" not in infer
+    assert "kinematic" not in compare
 
 
 # -- the figure --------------------------------------------------------------------------------------------

@@ -98,3 +98,13 @@ def test_drawn_inputs(tried, capsys, part):
         print(f"peak of memory {peak / 2**20:.0f} MiB")
     assert not wrong
     assert sum(count[kind, "tried"] for kind in KINDS) >= 90
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_file_that_is_read_twice_warns_once(run, data_folder, tmp_path):
+    """The first reading tells the plane from space; the second is the one that is used."""
+    folder = data_folder / "opensim_arm26"
+    body = ("--body", folder / "arm26.osim", "--frames", "500:600", "--out", tmp_path / "never.nc")
+    outcome = run("infer", folder / "arm26_elbow_flex.trc", *body)
+    assert outcome.exit_code == 2
+    assert outcome.stderr.count("y is up in this file") == 1

@@ -14,7 +14,7 @@ from invdyn.recordings.tracking.film import Film
 from invdyn.recordings.tracking.heatmap import HeatmapTracker
 from invdyn.recordings.tracking.labels import Labels, write_labels
 
-TRAIN = ("train", "f.mov", "--labels", "l.csv", "--out", "n.safetensors", "--size", "40", "--steps", "90")
+TRAIN = ("train", "f.mov", "--labels", "l.csv", "--out", "n.safetensors", "--set", "size=40", "--steps", "90")
 TRACK = ("track", "f.mov", "--tracker", "n.safetensors", "--out", "t.csv")
 
 
@@ -86,7 +86,7 @@ def words(call, **changes):
         (words(TRAIN, labels="no.csv"), "--labels no.csv: No such file"),
         (words(TRAIN, labels="f.mov"), "f.mov: a film has no keypoints yet: run `invdyn track`"),
         ([*TRAIN, "--labels", "l.csv"], "1 films and 2 files of labels"),
-        (words(TRAIN, size="8"), "a network's pictures are from 16 to 4096 px, got 8"),
+        ([*TRAIN, "--set", "size=8"], "a network's pictures are from 16 to 4096 px, got 8"),
         (words(TRAIN, steps="0"), "Invalid value for '--steps'"),
         (words(TRAIN, out="l.csv"), "l.csv: this output would overwrite an input"),
     ],

@@ -189,7 +189,7 @@ def test_what_gravity_does_not_move_stays_anywhere(robot):
 
 
 def test_simulated_encoders_and_points(robot, run):
-    outcome = run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--duration", "1", "--encoders", "0.001")
+    outcome = run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--duration", "1", "--set", "encoders=0.001")
     assert outcome.exit_code == 0, outcome.output
     recording = load_recording("rec.csv", robot)
     assert recording.keypoint_names == robot.keypoint_names
@@ -200,7 +200,7 @@ def test_simulated_encoders_and_points(robot, run):
 def test_from_a_recording_to_torques(robot, run):
     """Encoders and one point: every output is there, and the bands hold the truth where they should."""
     run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--truth", "truth.csv", "--duration", "0.6",
-        "--fps", "50", "--encoders", "0.0005")  # fmt: skip
+        "--fps", "50", "--set", "encoders=0.0005")  # fmt: skip
     outcome = run("infer", "rec.csv", "--body", "robot.toml", "--truth", "truth.csv", "--out", "p.nc", "--out",
                   "f.png", "--out", "f.sto", "--filters", "2", "--particles", "20")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output

@@ -1,4 +1,4 @@
-"""`infer --kinematic`: motion and lengths, and all outputs but forces."""
+"""`infer --torque none`: motion and lengths, and all outputs but forces."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def swinging(folder):
 
 
 def test_it_writes_all_that_is_wanted(swinging, run, contents):
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", "--learn", "lengths",
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "none", "--learn", "lengths",
                   "--method", "laplace", "--out", "f.png", "--out", "t.csv", *SMALL)  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     assert "Joint angles (rad) over 24 frames" in outcome.stdout
@@ -49,13 +49,12 @@ def test_it_writes_all_that_is_wanted(swinging, run, contents):
     [
         (("--method", "nuts"), "expected a method among smc, laplace, got 'nuts'"),
         (("--out", "t.sto"), "t.sto: a kinematic posterior has no torques"),
-        (("--zero-torque",), "--zero-torque: has no part in --kinematic"),
-        (("--torque", "matern32"), "--torque: has no part in --kinematic"),
+        (("--zero-torque",), "--zero-torque: has no part in --torque none"),
     ],
 )
 def test_what_has_no_part_in_it_is_refused(swinging, run, contents, options, said):
     before = set(contents(swinging))
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", *options)
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "none", *options)
     assert outcome.exit_code == 2
     assert said in outcome.stderr
     assert set(contents(swinging)) == before
@@ -64,7 +63,7 @@ def test_what_has_no_part_in_it_is_refused(swinging, run, contents, options, sai
 def test_a_kinematic_posterior_has_no_torques_to_export(swinging, run):
     assert (
         run(
-            "infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--kinematic", "--method", "laplace", *SMALL
+            "infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--torque", "none", "--method", "laplace", *SMALL
         ).exit_code
         == 0
     )

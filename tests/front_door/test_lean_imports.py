@@ -4,10 +4,12 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 WRONG_UNIT = """
 import sys
 from invdyn.cli import app
-sys.argv = ["invdyn", "infer", sys.argv[1], "--body", "paper_planar_arm", "--units", "furlong", "--out", "o.nc"]
+sys.argv = ["invdyn", "infer", *sys.argv[1:], "--body", "paper_planar_arm", "--out", "o.nc"]
 try:
     app()
 except SystemExit as ended:
@@ -16,13 +18,29 @@ assert not {"torch", "arviz.data"} & {*sys.modules}, "imported"
 """
 
 
-def test_a_wrong_unit_does_not_wait_for_torch(tmp_path):
-    table = tmp_path / "r.csv"
-    table.write_text("time,elbow_x,elbow_y\n0,1,2\n0.1,1,2\n")
-    command = [sys.executable, "-W", "ignore", "-c", WRONG_UNIT, str(table)]
+OF_A_NETWORK = """scorer,net,net,net
+bodyparts,elbow,elbow,elbow
+coords,x,y,likelihood
+0,1,2,1
+1,1,2,1
+"""
+
+
+@pytest.mark.parametrize(
+    ("table", "options", "message"),
+    [
+        ("time,elbow_x,elbow_y\n0,1,2\n0.1,1,2\n", ("--units", "furlong"), "unknown unit 'furlong'"),
+        (OF_A_NETWORK, ("--fps", "30"), "a DeepLabCut file does not say its units"),
+    ],
+    ids=["wrong", "missing"],
+)
+def test_wrong_and_missing_units_do_not_wait_for_torch(tmp_path, table, options, message):
+    path = tmp_path / "r.csv"
+    path.write_text(table)
+    command = [sys.executable, "-W", "ignore", "-c", WRONG_UNIT, str(path), *options]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 0, done.stderr
-    assert "unknown unit 'furlong'" in done.stderr
+    assert message in done.stderr
 
 
 WHAT_COMMANDS_USE = """

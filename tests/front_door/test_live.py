@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from pages import ROOT, blocks
 from typer.testing import CliRunner
 
 from invdyn.cli import app
@@ -155,3 +156,33 @@ def test_what_cannot_be_read_is_one_line(there, run):
 def test_other_lines_are_refused(line):
     with pytest.raises(InputError, match="line 1: expected 2 numbers"):
         list(rows(iter([line]), ["time", "a"], raised))
+
+
+class Brightest:
+    """A network that finds the brightest place of pictures of 60 × 80 px, and is unsure of another one."""
+
+    keypoint_names, picture_size = ("elbow", "wrist"), (60, 80)
+
+    def track(self, picture):
+        v, u = np.unravel_index(picture[..., 0].astype(int).argmax(), picture.shape[:2])
+        return np.array([[u, v, 0.9], [u, v, 0.4]])
+
+
+def test_the_guides_camera_gives_rows_in_metres(tmp_path, monkeypatch):
+    """A red spot that moves to the right and up, 4 and 2 px a picture, at 25 pictures a second."""
+    cv2 = pytest.importorskip("cv2")
+    path, names = str(tmp_path / "spot.avi"), {}
+    film = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 25, (160, 120))
+    for n in range(10):
+        picture = np.zeros((120, 160, 3), np.uint8)
+        cv2.circle(picture, (40 + 4 * n, 80 - 2 * n), 3, (0, 0, 255), -1)
+        film.write(picture)
+    film.release()
+    (block,) = (each for each in blocks(ROOT / "docs" / "how-to" / "live.md", "python") if "camera_rows" in each)
+    exec(block, names)
+    monkeypatch.setattr(names["HeatmapTracker"], "load", lambda path: Brightest())
+    found = list(names["camera_rows"](path, "network", 0.01, (40, 80)))
+    assert np.diff([time for time, _ in found]) == pytest.approx(np.full(9, 0.04))
+    assert [row["elbow_x"] for _, row in found] == pytest.approx(np.arange(10) * 0.04, abs=0.03)
+    assert [row["elbow_y"] for _, row in found] == pytest.approx(np.arange(10) * 0.02, abs=0.03)
+    assert all(np.isnan(row["wrist_x"]) for _, row in found)

@@ -160,7 +160,7 @@ def test_drawn_names_in_a_body(wrong):
 
 
 def test_drawn_values_of_options(wrong):
-    real, count = ("--duration", "--fps", "--noise", "--torque-scale"), ("--seed",)
+    real, count = ("--duration", "--fps", "--noise"), ("--seed",)
 
     @given(option=st.sampled_from([*real, *count]), value=st.one_of(NUMBERS.map(repr), TEXTS))
     @DRAWN

@@ -8,9 +8,9 @@ from pages import ROOT
 
 from invdyn.cli import app
 from invdyn.inference import METHODS
-from invdyn.inference_options import AUTO
+from invdyn.inference_options import AUTO, NONE
 from invdyn.models import FAMILIES, TORQUE_PROCESSES
-from invdyn.options import RECIPES
+from invdyn.recipes import RECIPES
 
 GUIDE = (ROOT / "docs" / "how-to" / "recipes.md").read_text("utf-8")
 
@@ -32,7 +32,7 @@ def test_it_sets_what_it_says_and_nothing_else(name):
 @pytest.mark.parametrize("name", RECIPES)
 def test_its_values_are_known(name):
     found = parameters("--recipe", name)
-    assert found["torque"] in (*TORQUE_PROCESSES, AUTO)
+    assert found["torque"] in (*TORQUE_PROCESSES, AUTO, NONE)
     assert found["noise"] in (None, *FAMILIES)
     assert found["method"] in METHODS
 

@@ -11,7 +11,19 @@ SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
 
 @pytest.mark.long
 def test_the_most_probable_is_taken_and_named(folder, run):
-    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40", "--encoders", "1e-4")
+    run(
+        "simulate",
+        "--body",
+        "arm.toml",
+        "--out",
+        "rec.csv",
+        "--duration",
+        "0.8",
+        "--fps",
+        "40",
+        "--set",
+        "encoders=1e-4",
+    )
     outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", *SMALL)
     assert outcome.exit_code == 0, outcome.output
     settings = json.loads(load_posterior("p.nc").attrs["settings"])

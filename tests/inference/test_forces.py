@@ -83,7 +83,7 @@ def test_forces_come_from_a_file_with_its_own_clock(pulled, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     write_keypoint_csv(recording, tmp_path / "rec.csv")
     ARM.to_toml(tmp_path / "arm.toml")
-    line = "infer rec.csv --body arm.toml --forces handle.csv --method laplace --out p.nc"
+    line = "infer rec.csv --body arm.toml --set forces=handle.csv --method laplace --out p.nc"
     outcome = CliRunner().invoke(app, line.split())
     assert outcome.exit_code == 0, outcome.output
     idata = load_posterior(tmp_path / "p.nc")

@@ -7,62 +7,40 @@ cases"). Laplace's method has no Monte Carlo error here: draws are compared one 
 
 import json
 import math
-import os
-from concurrent.futures import ProcessPoolExecutor, wait
 from dataclasses import replace
-from multiprocessing import get_context
 
 import numpy as np
 import pytest
 import torch
+from swinging_arm import (
+    ANGLE,
+    ARM,
+    EXACT,
+    JOINTS,
+    NOISE,
+    ROWS,
+    SMALL,
+    STEP,
+    SWING,
+    TIPS,
+    arm,
+    bits,
+    draws,
+    evidence,
+    rotated,
+)
 
-from invdyn.inference import SMCOptions, infer, infer_states, pooled, prepare
-from invdyn.inference.smoothing.linearised import gaussian_smoother
-from invdyn.models import ArmModel, Body, Link, OrnsteinUhlenbeck, RandomWalk, load_body, planar_body
+from invdyn.inference import SMCOptions, infer, prepare
+from invdyn.models import ArmModel, Body, OrnsteinUhlenbeck, RandomWalk, load_body
 from invdyn.models.bodies.mjcf_writer import write_mjcf
-from invdyn.models.linear_gaussian import LinearGaussian
 from invdyn.recordings import Recording, load
 from invdyn.recordings.formats.keypoint_csv import write_keypoint_csv
 from invdyn.recordings.joined import joined
 
-EXACT = 1e-6
-"""Relative tolerance: the search for parameters repeats its steps, and rounding is all that differs."""
 DRAWN = 1e-5
 """The same of draws: a fit's last step is taken with slopes by differences."""
 
-STEP = 1 / 64  # s, so that sums of times have no rounding
-ROWS = 24
-NOISE = 0.005
-TIPS, JOINTS = ("elbow", "wrist"), ("shoulder", "elbow")
 
-SMALL = {"method": "laplace", "num_filters": 2, "num_draws": 3, "seed": 1}
-PARTICLES = {"method": "smc", "num_filters": 4, "num_particles": 20, "num_draws": 2, "seed": 1}
-KNOWN = {"torque.scale": 5.0, "torque.decay": 2.0, "emission.keypoint_scale": NOISE, "noise.velocity": 0.01}
-
-
-def arm(lengths=(0.35, 0.3), masses=(1.5, 1.0), tips=TIPS, joints=JOINTS, **options):
-    """An arm of two uniform rods."""
-    links = [
-        Link(f"link{k}", joint, tip, length=length, mass=mass)
-        for k, (joint, tip, length, mass) in enumerate(zip(joints, tips, lengths, masses, strict=True))
-    ]
-    return planar_body("arm", links, **options)
-
-
-ARM = arm()
-
-
-def swing(rows=ROWS, seed=0):
-    """Angles (T, 2) of a limb that swings, at times (T,), and its keypoints with noise."""
-    time = STEP * np.arange(rows)
-    angle = np.array([-1.2, 0.8]) + np.array([0.5, 0.6]) * np.sin(np.outer(time, [2.0, 3.0]))
-    model = ArmModel(ARM, time)
-    tips = model.dynamics.keypoints(torch.as_tensor(angle), model.body_parameters()).numpy()
-    points = tips + NOISE * np.random.default_rng(seed).normal(size=tips.shape)
-    return angle, Recording(time, points, TIPS, name="swing")
-
-
-ANGLE, SWING = swing()
 ENCODED = replace(
     SWING,
     keypoints=np.empty((ROWS, 0, 2)),
@@ -84,19 +62,9 @@ def encoded():
     return infer(ENCODED, ARM, **SMALL)
 
 
-def evidence(idata):
-    """Log p(y), nats."""
-    return idata.attrs["log_evidence"]
-
-
 def fitted(idata, name):
     """A fitted parameter (K,)."""
     return np.array(json.loads(idata.attrs["settings"])["fitted"][name])
-
-
-def draws(idata, name="torque"):
-    """Draws (S, …) of a variable."""
-    return pooled(idata)[name].values
 
 
 def assert_same(one, other, *, torque=1.0, shift=0.0, tolerance=EXACT):
@@ -107,25 +75,10 @@ def assert_same(one, other, *, torque=1.0, shift=0.0, tolerance=EXACT):
     np.testing.assert_allclose(draws(other), expected, atol=max(tolerance, DRAWN) * size, rtol=0)
 
 
-def bits(idata):
-    """All numbers of a posterior."""
-    groups = {group: idata[group].data_vars for group in idata.groups()}
-    return {(group, name): own[name].values.tobytes() for group, own in groups.items() for name in own}
-
-
 def mode(recording, body, **options):
     """The most likely torques (T, K), by the fit that `infer` begins with."""
     task = prepare(recording, body, options=SMCOptions(2, 2, 2), seed=1, **options)
     return task.path[:, : body.num_joints].numpy()
-
-
-def rotated(degrees, dimensions=2):
-    """A rotation in the plane of x and y."""
-    angle = np.deg2rad(degrees)
-    cos, sin = np.cos(angle), np.sin(angle)
-    matrix = np.eye(dimensions)
-    matrix[:2, :2] = [[cos, -sin], [sin, cos]]
-    return matrix
 
 
 def moved(recording, matrix=None, shift=0.0):
@@ -197,6 +150,8 @@ def test_times_shifted(plain, begin):
 
 
 SLOW = replace(SWING, time=2 * SWING.time)
+
+
 LIGHT = arm(gravity=np.array(ARM.gravity) / 4)
 
 
@@ -369,116 +324,6 @@ def test_a_constant_command_shifts_what_remains():
     assert_same(one, other, tolerance=1e-5)
     left, whole = mode(commanded, ARM, **options), mode(SWING, ARM, **options)
     np.testing.assert_allclose(left + command, whole, atol=1e-5 * np.abs(whole).max())
-
-
-# -- random numbers and workers --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", [SMALL, PARTICLES], ids=["laplace", "smc"])
-def test_the_same_seed(options):
-    one, again, other = (infer(SWING, ARM, settings=KNOWN, **{**options, "seed": seed}) for seed in (1, 1, 2))
-    assert bits(one) == bits(again)
-    assert not np.array_equal(draws(one), draws(other))
-
-
-@pytest.fixture(scope="module")
-def workers():
-    """Function of a number of workers -> a pool; their imports are shared, for speed."""
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["invdyn.inference"])
-
-    def pool(count):
-        executor = ProcessPoolExecutor(count, context, context.Barrier(count).wait)
-        wait([executor.submit(os.getpid) for _ in range(count)])
-        return executor
-
-    return pool
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("batch", [None, 1, 3])
-def test_workers_share_the_filters(workers, batch):
-    """One worker, two or none give the same bits, in batches of a given size."""
-    options = {"settings": KNOWN, "filters_per_task": batch, **PARTICLES}
-    model, y = states(*EYES, 20), simulated(20)
-    alone = bits(infer(SWING, ARM, **options)), bits(infer_states(model, y, filters_per_task=batch, **PARTICLES))
-    for count in (1, 2):
-        with workers(count) as executor:
-            assert bits(infer(SWING, ARM, executor=executor, **options)) == alone[0]
-            own = infer_states(model, y, filters_per_task=batch, executor=executor, **PARTICLES)
-            assert bits(own) == alone[1]
-
-
-@pytest.mark.long
-def test_the_number_of_filters_a_task_is_no_more_than_there_are():
-    """By default all four are one batch: asking for four, or for more, is the same."""
-    options = {"settings": KNOWN, **PARTICLES}
-    plain, four, more = (bits(infer(SWING, ARM, filters_per_task=n, **options)) for n in (None, 4, 9))
-    assert plain == four == more
-
-
-# -- models of one's own ---------------------------------------------------------------------------------------
-
-A = torch.tensor([[0.9, 0.2], [-0.1, 0.8]]).double()
-Q = torch.tensor([[0.3, 0.1], [0.1, 0.2]]).double()
-C = torch.tensor([[1.0, 0.5], [0.2, 1.0], [0.0, 1.0]]).double()
-R = torch.diag(torch.tensor([0.1, 0.2, 0.3]).double())
-START = torch.tensor([1.0, -1.0]).double()
-EYES = torch.eye(2).double(), torch.eye(3).double()
-
-
-def states(S, T, rows):
-    """The model of states S x whose rows are T y; all matrices follow."""
-    back = torch.linalg.inv(S)
-    return LinearGaussian(S @ A @ back, S @ Q @ S.T, T @ C @ back, T @ R @ T.T, S @ START, S @ S.T, rows)
-
-
-def simulated(rows):
-    """Rows (T, 3) of the model as it is."""
-    torch.manual_seed(0)
-    return states(*EYES, rows).simulate()[1]
-
-
-@pytest.mark.parametrize(
-    ("S", "T"),
-    [
-        (torch.as_tensor(rotated(37)), EYES[1]),
-        (torch.diag(torch.tensor([1e3, 0.2]).double()), EYES[1]),
-        (EYES[0][[1, 0]], EYES[1]),
-        (EYES[0], torch.as_tensor(rotated(37, 3))),
-        (EYES[0], torch.diag(torch.tensor([1e3, 2.0, 0.5]).double())),
-        (EYES[0], EYES[1][[2, 0, 1]]),
-    ],
-    ids=["states rotated", "scaled", "permuted", "rows rotated", "rows scaled", "rows permuted"],
-)
-def test_states_and_rows_of_a_linear_model(S, T):
-    rows, y = 20, simulated(20)
-    model, other = states(*EYES, rows), states(S, T, rows)
-
-    options = {"method": "laplace", "num_filters": 2, "num_draws": 2, "seed": 1}
-    one, two = infer_states(model, y, **options), infer_states(other, y @ T.T, **options)
-    shift = -rows * torch.linalg.slogdet(T).logabsdet.item()
-    assert evidence(two) == pytest.approx(evidence(one) + shift, rel=EXACT)
-
-    path, moved_path = (gaussian_smoother(m, r).path for m, r in ((model, y), (other, y @ T.T)))
-    torch.testing.assert_close(moved_path, path @ S.T, rtol=EXACT, atol=EXACT * float(S.abs().max()))
-
-
-def test_a_linear_model_with_rows_that_are_missing_at_the_end():
-    y = simulated(20)
-    longer = torch.cat([y, torch.full((5, 3), torch.nan).double()])
-    one, two = (infer_states(states(*EYES, len(r)), r, method="laplace", num_filters=2) for r in (y, longer))
-    assert evidence(two) == pytest.approx(evidence(one), rel=EXACT)
-
-
-def test_a_linear_model_in_single_precision():
-    """Rounding is far below what 20 rows say."""
-    model, y = states(*EYES, 20), simulated(20)
-    one, two = (
-        infer_states(m, r, method="laplace", num_filters=2)
-        for m, r in ((model, y), (model.to(dtype=torch.float32), y.float()))
-    )
-    assert evidence(two) == pytest.approx(evidence(one), abs=1e-3)
 
 
 # -- in space --------------------------------------------------------------------------------------------------

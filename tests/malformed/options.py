@@ -25,7 +25,7 @@ RANGES = ("", ":", "::", "a:b", "5:2", "-3:", f"{HUGE}:", f":{10**30}", "1e3:", 
 
 def cases() -> Iterator[Case]:
     """Real numbers, counts and seeds, texts."""
-    given = [(SIMULATE, option) for option in ("--duration", "--fps", "--noise", "--torque-scale")]
+    given = [(SIMULATE, option) for option in ("--duration", "--fps", "--noise")]
     given += [((*TRACKED, "--scale", "body"), "--fps"), (TRACKED, "--scale"), (COMPARE, "--held-out")]
     for call, option in given:
         for value in REALS:

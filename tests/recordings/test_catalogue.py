@@ -19,6 +19,7 @@ def test_every_source_is_pinned():
     assert len(names()) == 33
     for name, entry in CATALOGUE.items():
         for source in entry.sources:
+            assert source.rounded == (entry.read.__name__ == "read_dfki"), name
             if name == "dfki-film":
                 assert not source.repository
             else:

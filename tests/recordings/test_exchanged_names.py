@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from invdyn.recordings import InputError
-from invdyn.recordings.naming import check_names
+from invdyn.recordings.exchanged_names import check_names
 
 NAMES, LENGTHS = ("shoulder", "elbow", "wrist", "hand"), (0.3, 0.25, 0.1)
 LINKS = dict(zip(pairwise(NAMES), LENGTHS, strict=True))

@@ -33,6 +33,7 @@ def test_refuses_other_shapes_and_files(tmp_path):
         ("t,a_torque\n0,1\n1,1\n", "no column 'time'"),
         ("time,a_torque,a_speed\n0,1,1\n1,1,1\n", "odd: a_speed"),
         ("time\n0\n1\n", "no joint"),
+        ("time,a_torque\n0,1\n1,1e8\n", "truth: torque"),
         ("time,a_torque,a_angle,a_velocity\n1,1,1,1\n0,1,1,1\n", r"backwards at row 2 \(line 3\)"),
     ]:
         path.write_text(text)

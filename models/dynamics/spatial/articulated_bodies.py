@@ -113,10 +113,10 @@ def _moved(body: _Body, place: PlacedFrame) -> _Body:
     force = place.inwards(body.force)
     moment = add(place.inwards(body.moment), cross(place.position, force))
     lever = cross_matrix(place.position)
-    turned_B = matrix_sum(B, multiply(lever, M))
-    lever_B, B_lever = multiply(lever, transpose(B)), multiply(turned_B, transpose(lever))
+    rotated_B = matrix_sum(B, multiply(lever, M))
+    lever_B, B_lever = multiply(lever, transpose(B)), multiply(rotated_B, transpose(lever))
     whole_A = symmetric(lambda i, j: A[i][j] + (lever_B[i][j] + B_lever[i][j]))
-    return _Body(whole_A, turned_B, M, moment, force)
+    return _Body(whole_A, rotated_B, M, moment, force)
 
 
 def _joined(one: _Body, other: _Body) -> _Body:

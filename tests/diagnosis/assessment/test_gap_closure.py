@@ -11,7 +11,7 @@ from pendulum import DAMPING, FRICTION, LOOSE, PENDULUM, causes, path_of, record
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.assessment.gap_closure import Closed, borne_out, by_effect, closed, split, unseen
+from invdyn.diagnosis.assessment.gap_closure import Closed, all_confirmed, by_effect, closed, split, unseen
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.prediction.predict import Scores, scores
@@ -215,7 +215,7 @@ def test_held_out_rows_bear_out_each_of_three_effects(names, lows, expected):
     effects = [EFFECTS[name](*(("pivot",) if EFFECTS[name].site == "joint" else ())).bound(PENDULUM) for name in names]
     cause = replace(none, effects=tuple(effects))
     known = {key(e): Closed(0.3, (low, 0.5), {}) for e, low in zip(effects, lows, strict=True) if low is not None}
-    assert borne_out(cause, known) is expected
+    assert all_confirmed(cause, known) is expected
 
 
 def test_what_was_refined_is_not_refined_again(monkeypatch):

@@ -27,18 +27,18 @@ from invdyn.simulate import random_arm, record
 def test_what_another_recording_does_not_bear_out_is_a_part():
     """An arm whose friction is another one there: what was found was not all there was."""
     first, same, other = recorded(DAMPING, rows=200), recorded(DAMPING, seed=5), recorded(3 * DAMPING, seed=5)
-    borne_out, odd = (diagnose(first, PENDULUM, held_out=second, without=MANY) for second in (same, other))
-    likely = borne_out.causes[0]
+    confirmed, odd = (diagnose(first, PENDULUM, held_out=second, without=MANY) for second in (same, other))
+    likely = confirmed.causes[0]
     assert [effect.effect for effect in likely.effects] == ["viscous_friction"]
     assert likely.probability > 0.9
-    assert borne_out.outside.probability < 0.01
+    assert confirmed.outside.probability < 0.01
     part = next(cause for cause in odd.causes if cause.effects == likely.effects)
     assert (part.probability, part.in_part) == (0.0, pytest.approx(likely.probability))
     assert odd.outside.probability == pytest.approx(likely.probability)
-    assert borne_out.method["held out"] == "another recording"
+    assert confirmed.method["held out"] == "another recording"
     assert odd.method["held out"] == "another recording, in which the best cause leaves something"
     # Predicted under the residual that the first recording needs, which is none.
-    assert borne_out.shrinkage.gap_closed > 0.95
+    assert confirmed.shrinkage.gap_closed > 0.95
     assert odd.shrinkage.gap_closed < 0
 
 

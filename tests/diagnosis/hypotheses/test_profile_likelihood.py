@@ -12,7 +12,7 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.simplex_search import grid, log_spread
+from invdyn.diagnosis.hypotheses.simplex_search import grid, log_sd_prior
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.problem.unknowns import at_far_end
@@ -125,7 +125,7 @@ def test_intervals_of_what_was_searched_stay_within_the_prior():
     assert np.diff(np.log(narrow.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1, rel=0.05)
     assert np.diff(np.log(wide.interval_90))[0] == pytest.approx(2 * 1.645 * 0.1 / np.sqrt(0.2), rel=0.1)
     (width,) = play.parameters(here.model.scale)
-    assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_spread(width), rel=0.05)
+    assert np.diff(np.log(widest.interval_90))[0] == pytest.approx(2 * 1.645 * log_sd_prior(width), rel=0.05)
 
 
 @pytest.mark.quick("outliers", "label_swap")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from pyro.distributions import LogNormal
 
-from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of, log_spread
+from invdyn.diagnosis.hypotheses.simplex_search import climb, grid, log_density_of, log_sd_prior
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects.base import Parameter
 
@@ -50,7 +50,7 @@ def test_a_grid_is_of_the_priors_quantiles_or_a_parameters_own():
     assert points == list(product(sorted({point[0] for point in points}), (1.0, 2.0)))
     below = width.prior.cdf(torch.tensor([point[0] for point in points[::2]])).numpy()
     np.testing.assert_allclose(below, DEFAULT.descent.prior_quantiles, atol=4 * 0.5 / np.sqrt(2000))
-    assert log_spread(width) == pytest.approx(0.5, rel=0.1)
+    assert log_sd_prior(width) == pytest.approx(0.5, rel=0.1)
 
 
 def test_the_prior_is_of_logarithms():

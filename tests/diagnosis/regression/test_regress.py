@@ -20,7 +20,7 @@ from regressed import (
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
-from invdyn.diagnosis.regression.measured_motion import held_mean, measured_motion
+from invdyn.diagnosis.regression.measured_motion import hold_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Link, planar_body
@@ -144,7 +144,7 @@ def test_an_unknown_torque_says_nothing():
 
 def test_a_torque_is_averaged_over_the_time_that_a_row_stands_for():
     time = np.array([0.0, 1.0, 2.0, 3.0])
-    mean = held_mean(time, np.array([[1.0], [3.0], [5.0], [7.0]]), np.array([0.0, 1.0, 2.0, 3.0]))
+    mean = hold_mean(time, np.array([[1.0], [3.0], [5.0], [7.0]]), np.array([0.0, 1.0, 2.0, 3.0]))
     assert mean[:, 0].tolist() == [1.0, 2.0, 4.0, 5.0]
 
 

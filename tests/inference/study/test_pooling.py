@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import halfnorm, norm
+from scipy.stats import chi2, halfnorm, norm
+from scipy.stats import t as student
 
 from invdyn.inference.study.pooling import Mixture, Pooled, _given, _prior_scales, confounded, groupings, pool
 
@@ -72,6 +73,31 @@ def test_the_spreads_are_integrated_out_as_on_a_grid():
     assert found.direction == pytest.approx(exact.direction, abs=0.01)
 
 
+@pytest.mark.parametrize("of_cells", [0.0, 1.0])
+def test_the_scales_of_the_priors_are_those_of_sums_of_squares(of_cells):
+    """Of three subjects under two conditions, by row and column means; cells that differ by more have the limit."""
+    trials = np.tile([-0.1, 0.1], (3, 2, 1))
+    level, effect = np.array([-2.0, 0.5, 1.5])[:, None, None], np.array([-0.4, 0.4])[None, :, None]
+    cells = of_cells * np.array([1.0, -3.0, 2.0])[:, None, None] * effect
+    y = (level + effect + cells + trials).reshape(-1)
+    subjects, conditions = (np.unique(each, return_inverse=True)[1] for each in (SUBJECT, CONDITION))
+    groups = groupings(CONDITION, SUBJECT, ONE)
+    found = _prior_scales(y, np.full(12, 1e-6), conditions, {"subject": subjects, "session": subjects}, groups)
+    of_effect = np.sqrt(((cells + trials) ** 2).sum() / 8 / 2)
+    limit = np.sqrt((cells[..., 0] ** 2).sum() / chi2.ppf(0.15, 2))
+    expected = [(effect + cells + trials).std(), y.std(), max(of_effect, limit)]
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_sessions_of_two_subjects_are_two_even_if_they_share_a_name():
+    subject, session = np.repeat(["a", "b"], 8), np.tile(np.repeat(["1", "2"], 4), 2)
+    y = np.repeat([0.0, 2.0, 5.0, 9.0], 4) + np.tile([-0.1, 0.1], 8)
+    labels = np.tile(["x", "x", "y", "y"], 4), subject
+    own = pool(y, np.full(16, 0.05), *labels, session, 64).difference("x", "y")
+    named = pool(y, np.full(16, 0.05), *labels, np.char.add(subject, session), 64).difference("x", "y")
+    assert own.sd == pytest.approx(named.sd)
+
+
 @pytest.mark.parametrize("count", [3, 4])
 def test_few_trials_of_one_subject_have_intervals_that_hold_the_truth(count):
     """As by Student's t; 300 studies without an effect, so that a share of .9 is known to .02."""
@@ -93,6 +119,13 @@ def test_equal_estimates_have_no_difference_and_the_width_of_their_errors(value)
     assert 0.02 / np.sqrt(2) < own.sd < 0.08
 
 
+@pytest.mark.parametrize("error", [0.02, 0.0])
+def test_one_equal_trial_of_each_subject_is_enough(error):
+    own = pool(np.ones(3), np.full(3, error), list("xyx"), list("abc"), list("111"), 64).difference("x", "y")
+    assert own.mean == pytest.approx(0.0, abs=1e-9)
+    assert error / 2 <= own.sd < 5 * error + 1e-8
+
+
 def test_exactly_additive_estimates_are_as_unsure_as_their_errors():
     """Least squares leave 1e-17 there, and the errors say that it is chance."""
     y = np.array([1.0, 1.0, 2.0, 2.0, 1.5, 1.5, 2.5, 2.5])
@@ -102,10 +135,26 @@ def test_exactly_additive_estimates_are_as_unsure_as_their_errors():
     assert own.quantile(0.95) - own.quantile(0.05) > 0.1
 
 
-@pytest.mark.parametrize(("subjects", "trials"), [(2, 2), (3, 2), (4, 4)])
-def test_precise_trials_of_few_subjects_have_intervals_that_hold_the_effect(subjects, trials):
+@pytest.mark.parametrize("error", [0.001, 0.03])
+@pytest.mark.parametrize(("subjects", "falsely"), [(2, 0.07), (4, 0.05), (8, 0.05)])
+def test_of_precise_trials_the_interval_is_nearly_students(subjects, falsely, error):
+    """Student's t, exact there, says how often an interval of this width misses the effect, and finds one falsely."""
+    rng = np.random.default_rng(subjects)
+    effect, level = rng.normal(size=subjects), 2 * rng.normal(size=subjects)
+    y = np.outer(effect, [-0.5, -0.5, 0.5, 0.5]) + level[:, None] + error * np.array([-1, 1, -1, 1])
+    who, condition = np.repeat(np.arange(subjects).astype(str), 4), np.tile(list("xxyy"), subjects)
+    own = pool(y.ravel(), np.full(y.size, error), condition, who, ["1"] * y.size).difference("x", "y")
+    assert own.mean == pytest.approx(effect.mean(), abs=0.01 * own.sd)
+    for share, low, high in ((0.95, 0.07, 0.1), (0.975, 0.035, falsely)):
+        half = (own.quantile(share) - own.quantile(1 - share)) / 2
+        missed = 2 * student.sf(half * np.sqrt(subjects) / effect.std(ddof=1), subjects - 1)
+        assert low < missed < high
+
+
+def test_trials_of_few_subjects_have_intervals_that_hold_the_effect():
     """Effects N(0, .3²) by subject, trials' sd .1 and s = .05; 150 studies, so that a share of .9 is known to .025."""
-    rng, held, found = np.random.default_rng(1000 + 10 * subjects + trials), [], []
+    subjects, trials = 3, 2
+    rng, held, found = np.random.default_rng(1032), [], []
     subject, condition = (
         np.repeat(np.arange(subjects), 2 * trials),
         np.tile(np.repeat([0, 1], trials), subjects),

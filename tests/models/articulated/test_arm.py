@@ -242,7 +242,7 @@ def test_where_an_arm_starts_anew_nothing_follows_from_before():
     """Two recordings as one: the density is the product of theirs, the second's first row drawn about its angle."""
     body = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 1.0), Link("fore", "elbow", "wrist", 0.25, 0.8)])
     time, angle = 0.02 * np.arange(9), torch.tensor([[0.4, -0.2]], dtype=torch.float64)
-    whole = ArmModel(body, time, Observation(Keypoints([0, 1]))).starting_anew([5], angle)
+    whole = ArmModel(body, time, Observation(Keypoints([0, 1]))).restarted_at([5], angle)
     first, second = (ArmModel(body, time[rows], Observation(Keypoints([0, 1]))) for rows in (slice(0, 5), slice(5, 9)))
     torch.manual_seed(0)
     path = 0.1 * torch.randn(9, whole.state_dim, dtype=torch.float64)

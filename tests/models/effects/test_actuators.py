@@ -180,7 +180,7 @@ def test_commands_before_a_recording_act_on(effect, name, arm, having):
     torque = OrnsteinUhlenbeck(decay=decay, underway=True)
     model = having(arm(2, rows=40, step=step, torque=torque), effect, **{name: late})
     model = model.replace(**{"torque.initial_scale": sd, "torque.scale": 0.0 * sd})
-    model = model.starting_anew([20], torch.zeros(1, 2, dtype=F64))
+    model = model.restarted_at([20], torch.zeros(1, 2, dtype=F64))
     keep, variance, found = np.exp(-2 * decay * step), sd**2, []
     for t in range(1, 40):
         variance = sd**2 if t == 20 else keep * variance + model.late(t) ** 2
@@ -197,7 +197,7 @@ def test_commands_before_a_recording_act_on(effect, name, arm, having):
     np.testing.assert_allclose(found, expected, atol=1e-6)
     # A camera that starts later than the commands: what was told before its first row is known.
     told = model.driven_by(model.time[0] - 1.0 + step * torch.arange(140), torch.zeros(140, 2, dtype=F64))
-    told = told.starting_anew([20], torch.zeros(1, 2, dtype=F64))
+    told = told.restarted_at([20], torch.zeros(1, 2, dtype=F64))
     assert told.late(torch.arange(1, 20)).abs().max() < 1e-6
     torch.testing.assert_close(told.late(torch.arange(21, 40)), model.late(torch.arange(21, 40)))
     knows = having(arm(2), effect, **{name: late})

@@ -11,7 +11,7 @@ import torch
 
 from invdyn.inference import check_model
 from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation
-from invdyn.models.engine.drives import Controls, JointTorques, Wrench
+from invdyn.models.engine.drives import Controls, Given, Inputs, JointTorques, Wrench, turning_dofs
 from invdyn.models.engine.model import EngineModel
 from invdyn.models.engine.readings import Readings
 from invdyn.models.engine.scene import Scene
@@ -97,6 +97,24 @@ def test_a_wrench_pushes_a_floating_body_and_rotations_have_a_chart():
     mujoco.mj_differentiatePos(compiled, tangent, 1.0, compiled.qpos0, data.qpos)
     assert found[7:14] == pytest.approx(tangent, abs=1e-9)
     assert found[14:] == pytest.approx(data.qvel, abs=1e-9)
+
+
+def test_drives_have_a_usual_size_and_add_to_what_is_given():
+    """A motor without limits is as large as its gear lets it be, a wrench as the weight and its lever are."""
+    motor = '<actuator><motor name="motor" joint="hinge" gear="5"/></actuator></mujoco>'
+    model = mujoco.MjModel.from_xml_string(FLOATING.replace("</mujoco>", motor))
+    assert turning_dofs(model).tolist() == [False] * 3 + [True] * 4
+    given = Given(forces=np.arange(14.0).reshape(2, 7))
+    inputs = Inputs([JointTorques(("hinge",)), Controls(), Wrench("trunk")], model, given)
+    weight = 0.3 * 2.3 * 9.81
+    expected = [2.0, 2.0 / 5, *[weight] * 3, *[weight * 0.1 * model.stat.extent] * 3]
+    assert inputs.scale(model, np.full(7, 2.0)) == pytest.approx(expected)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, inputs.fields(np.array([0.5, 3.0, *np.zeros(6)]), np.array(1)), inputs.spec)
+    assert data.qfrc_applied.tolist() == [7, 8, 9, 10, 11, 12, 13.5]
+    assert data.ctrl.tolist() == [3.0]
+    with pytest.raises(BodyError, match="expected a name of its own"):
+        Inputs([JointTorques(("hinge",)), JointTorques(("hinge",))], model)
 
 
 def test_sensors_see_what_mujoco_shows():

@@ -232,6 +232,14 @@ def test_another_law_of_a_lens_is_refused_by_name(tmp_path, model):
     assert model.strip("[]").split(",")[0] in str(error.value)
 
 
+@pytest.mark.parametrize("flag", [0, 1])
+def test_opencv_flags_a_fisheye_and_a_byte_order_mark_is_nothing(tmp_path, flag):
+    text = CAMERA_INFO.replace("distortion_model: MODEL", f"fisheye_model: {flag}")
+    (tmp_path / "left.yml").write_text(f"\ufeff{text}", encoding="utf-8")
+    (camera,) = read_calibration(tmp_path / "left.yml", "m")
+    assert camera.fisheye is bool(flag)
+
+
 HUGE = "9" * 400
 DEEP = "a = " + "[" * 5000 + "]" * 5000
 POSE2SIM = ANIPOSE.replace("rotation =", "fisheye = false\nrotation =")
@@ -283,7 +291,8 @@ BAD = {
     "a word": ("c.qca.txt", QUALISYS.replace('"64000"', '"wide"'), "focalLengthU is 'wide'"),
     "no intrinsic": ("c.qca.txt", QUALISYS.replace("<intrinsic", "<lens"), "is missing"),
     "YAML with a tag": ("c.yml", "%YAML:1.0\n---\na: !!python/object:os.system 1\n", "line 3"),
-    "YAML with an alias": ("c.yml", "%YAML:1.0\n---\na: *b\n", "line 3"),
+    "YAML with an alias": ("c.yml", "%YAML:1.0\n---\nb: &b 1\na: *b\n", "line 4.* an alias"),
+    "YAML of 2 MB": ("c.yml", YAML + "# and more\n" * 200_000, "at most 1 MiB"),
     "an open list": ("c.yml", "%YAML:1.0\n---\na: [ 1, 2\n", "expected ',' or ']'"),
     "another YAML": ("c.yml", "- a\n- b\n", "line 1"),
     "no matrix": ("c.yml", "%YAML:1.0\n---\nwidth: 3\n", "no camera in it"),

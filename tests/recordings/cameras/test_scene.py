@@ -137,7 +137,7 @@ def test_errors_of_a_camera_that_is_off_show_in_its_rows(tmp_path):
     # Noise of 1 px in the plane: the median distance is 1.18, less what the points take up.
     assert 0.6 < rows["cam1", "wrist"].median < 1.2
     lines = csv_text(list(rows.values())).splitlines()
-    assert lines[0] == "camera,keypoint,pixels,median,q90,u,v,strays"
+    assert lines[0] == "camera,keypoint,pixels,median,q90,u,v,outliers"
     assert len(lines) == 17
     assert len(table(list(rows.values())).splitlines()) == 17
 
