@@ -35,7 +35,7 @@ class EvidenceRules:
         (0.5, 0.1, 0.4),
         "1",
         "P(one), P(several) and P(all) joints of an effect in a regression",
-        "odds: robots are alike",
+        "odds: a robot's joints are equal",
     )
     temper_scale: float = number(1000.0, "nats", "largest evidence that counts between causes", "chosen")
     temper_scale_within: float = number(
@@ -269,7 +269,7 @@ class CheckRules:
     max_delay: float = number(0.1, "s", "from a command to its torque; longer ones are a clock's", "stated")
     max_lead: float = number(1.5, "rows", "by which a command may follow its motion, by rounding of times", "chosen")
     max_damping_share: float = number(
-        0.5, "1", "of a joint's torque, that damping beside the file's takes once a delay is put right", "chosen"
+        0.5, "1", "of a joint's torque, that damping besides the file's takes once a delay is put right", "chosen"
     )
     delay_grid: tuple[int, ...] = number(
         (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 90), "rows", "delays that are tried, both ways", "effort"
@@ -481,7 +481,7 @@ class Fixed:
     refine_steps: tuple[float, ...] = number((0.0, 0.01, 0.1, 1.0, 10.0), "1", "dampings of a round's step", "chosen")
     refine_slope: float = number(0.01, "1", "step of a slope, in logarithms and prior sds", "chosen")
     refine_floor: float = number(0.02, "of the motion", "error of a replay, below which less does not count", "chosen")
-    refine_memory: float = number(0.5, "s", "for which a replay's errors are alike", "chosen")
+    refine_memory: float = number(0.5, "s", "for which a replay's errors are correlated", "chosen")
     start_gains: tuple[float, ...] = number(
         (1.0, 0.3, 0.1, 0.03, 0.01), "1", "times a file's gain, that a fit may start from", "chosen"
     )

@@ -102,7 +102,7 @@ def triangulate(
         reconstruct,
         write_calibration,
     )
-    from invdyn.recordings.cameras.reprojection import csv_text, table
+    from invdyn.recordings.cameras.reprojection import csv_text
 
     from .input_names import camera_offset
 
@@ -134,23 +134,38 @@ def triangulate(
             name=out.stem,
         )
         progress(1, 1, "triangulate")
-    recording = scene.recording
     with whole_set():
-        write_keypoint_csv(recording, out)
+        write_keypoint_csv(scene.recording, out)
         if errors is not None:
             write_text(errors, csv_text(scene.rows))
         if sd is not None:
-            columns = {
-                f"{point}_{axis}_sd": scene.sd[:, p, s]
-                for p, point in enumerate(recording.keypoint_names)
-                for s, axis in enumerate("xyz")
-            }
-            write_table({"time": recording.time, **columns}, sd)
+            write_table(_sd_columns(scene), sd)
         if calibration_out is not None:
             write_calibration(scene.calibration, calibration_out)
     named = {"recording": out, "errors": errors, "sds": sd, "cameras": calibration_out}
+    _report(scene, offsets, clocks)
+    say("\n".join(f"{name:<10} {path}" for name, path in named.items() if path is not None))
+
+
+def _sd_columns(scene: Any) -> dict[str, Any]:
+    """Columns of a table, "wrist_x_sd" and so on, m."""
+    recording = scene.recording
+    columns = {
+        f"{point}_{axis}_sd": scene.sd[:, p, s]
+        for p, point in enumerate(recording.keypoint_names)
+        for s, axis in enumerate("xyz")
+    }
+    return {"time": recording.time, **columns}
+
+
+def _report(scene: Any, offsets: dict[str, float], clocks: dict[str, Any]) -> None:
+    """Print errors of reprojection, what is known, and clocks."""
+    import numpy as np
+
+    from invdyn.recordings.cameras.reprojection import table
+
     say(table(scene.rows))
-    known = _share_known(recording.keypoints)
+    known = float(np.isfinite(scene.recording.keypoints).all(-1).mean())
     say(f"a pixel's error has a scale of {scene.scale:.2f} px; {known:.1%} of all points are known")
     for name, seconds in offsets.items():
         sd_text = f" ± {clocks[name].sd:.4f}" if name in clocks else ""
@@ -163,13 +178,6 @@ def triangulate(
             )
     if scene.factor != 1:
         say(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")
-    say("\n".join(f"{name:<10} {path}" for name, path in named.items() if path is not None))
-
-
-def _share_known(points: Any) -> float:
-    import numpy as np
-
-    return float(np.isfinite(points).all(-1).mean())
 
 
 def _length(text: str, body: str | None) -> Any:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .recording_options import Recorded
 
     EngineLog = tuple[list[Recording], Recording | None, Scene, list[str]]
-    """Logs, the one that is held out, their simulation, and why MuJoCo plays it."""
+    """Logs, the one that is held out, their simulation, and why MuJoCo simulates it."""
 
 ENGINES = ("auto", "mujoco", "own")
 UNUSED = ("learn", "scale", "base", "calibration", "tracker", "zero_torque", "hide_torque", "checkpoint", "forces")

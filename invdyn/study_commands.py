@@ -112,7 +112,7 @@ def study_text(study: "Study") -> str:
             continue
         for row in differences.itertuples():
             if row.quantity in ("peak", "impulse", "mean_power"):
-                word = "differs" if row.found else "not told apart"
+                word = "differs" if row.found else "not distinguished"
                 word += f", or its {row.confounded} does" if row.found and row.confounded else ""
                 lines.append(
                     f"{factor} {row.second} − {row.first}: {row.quantity} of {row.joint} {row.mean:+.3g} {row.unit} "

@@ -32,7 +32,7 @@ from invdyn.models.observation.observation import Observation
 AGILITY = (1.0, 4.0, 16.0, 64.0, 256.0)
 """q, rad/s/√s, from a slow robot to a whirling limb: a prior about limbs, for any gravity and lengths."""
 GATE = 4.0
-"""Standard deviations from its prediction beyond which an angle is left out, where what strays matters."""
+"""Standard deviations from its prediction beyond which an angle is left out, where an outlier matters."""
 
 
 def link_angles(observations: Tensor, observation: Observation, body: BodyParameters) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ WINDOW = 5  # W
 JUMP = 0.4
 """Of the distance of the outermost keypoints: a smaller jump of them is no exchange."""
 FARTHER = 3.0
-"""Times as far as `JUMP` that somebody may have moved while others were tracked."""
+"""Times as far as `JUMP` that a person may have moved while others were tracked."""
 UNUSUAL = 10.0
 """Times the 90 % quantile of e(t), that a jump exceeds."""
 LONGEST_STEP = 2.5

@@ -47,7 +47,7 @@ class Fitted:
 
     `discrepancy` (K, p, p) are A⁻¹ C_j A⁻¹ of torques that are tolerated: they add to what a number may be, and not to
     whether it is there.
-    `others` are fits with one effect more, by that effect and its place, whatever least value it has.
+    `others` are fits with one effect more, by that effect and its place, without regard to its least value.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
     """
 

@@ -25,7 +25,7 @@ SERVO = "its actuator says gain and bias otherwise than by kp, kv, gear or force
 DAMPING = "its actuator says its damping otherwise than by kv alone; change it there"
 LIMITED = "its force is limited before the gear: multiply gear and forcerange as the motor has it"
 LAG = "its actuator says its lag otherwise than by timeconst: multiply it there"
-FROM_SHAPE = "its inertia follows from its shape: write an inertial element beside it"
+FROM_SHAPE = "its inertia follows from its shape: write an inertial element next to it"
 FROM_GEOMS = 'its compiler takes all inertias from geoms (inertiafromgeom="true"): change these'
 ENDS = "the shape is placed by its ends: write it there"
 ELSEWHERE = "it is placed by a frame, or by a mesh's centre: move it there"

@@ -57,7 +57,7 @@ STANDARD_GRAVITY = 9.81
 MIN_ROWS, MOST_ROWS = 10, 1200
 """In which a base must be seen, and that its process is looked for in."""
 WANDERS = 0.01
-"""Of the reach: a smaller displacement is not told from errors of a tracker or filter that last."""
+"""Of the reach: a smaller displacement is not distinguished from errors of a tracker or filter that last."""
 MISFIT, EXPLAINED, SHOWN = 0.05, 0.3, 0.25
 """Of a length, of a misfit, and of a distance."""
 

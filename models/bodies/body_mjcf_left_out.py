@@ -1,6 +1,6 @@
 """What a compiled MuJoCo model has and rigid links lack, each with the names of the parts that have it.
 
-A recording of that simulation differs from the body by these, so whoever diagnoses it wants them named. An actuator's
+A recording of that simulation differs from the body by these, so a diagnosis has to name them. An actuator's
 force is gain(…)·act + bias(…), act = control through its own dynamics, clipped, times the gear, through a joint, tendon
 or site (mujoco.readthedocs.io, Computation: actuation model); a plain motor has gain 1, bias 0 and no dynamics.
 """
