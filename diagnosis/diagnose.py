@@ -211,7 +211,7 @@ def diagnose(
         if alone is not None:
             return ended(alone)
     report(1, "screen and refine")
-    found = _searched(bound, without, workers, start_of(said if robot else None, bound, passive))
+    found = searched(bound, without, workers, start_of(said if robot else None, bound, passive))
     bound = found.problem
     if (reason := too_little(bound, found)) is not None:
         return nothing_to_say(bound.problem.recording, body, seed, passive, reason, rules)
@@ -270,7 +270,7 @@ def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
     return [recording] if isinstance(recording, Recording) else recording
 
 
-def _searched(bound: DiagnosisProblem, without: Sequence[str], workers: int, start: Start = NOTHING) -> HypothesisPool:
+def searched(bound: DiagnosisProblem, without: Sequence[str], workers: int, start: Start = NOTHING) -> HypothesisPool:
     """The search in sub-steps short enough along the data's path."""
     try:
         with diverging():

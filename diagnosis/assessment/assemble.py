@@ -145,7 +145,7 @@ def assembled(
             formula.terms if formula else {},
             float(formula.gain_per_frame) if formula else None,
         ),
-        not_identifiable=tuple(sorted(_unseen(bound, found) - {key(effect) for effect in best.effects})),
+        not_identifiable=tuple(sorted(unseen_effects(bound, found) - {key(effect) for effect in best.effects})),
         shrinkage=Shrinkage(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
@@ -197,7 +197,7 @@ def _observed(bound: DiagnosisProblem) -> np.ndarray:
     return points.reshape(*points.shape[:2], body.dimensions)
 
 
-def _unseen(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
+def unseen_effects(bound: DiagnosisProblem, found: HypothesisPool) -> set[str]:
     """Keys of the effects that this recording could not have shown.
 
     Without commands all of the actuators', and all that an unknown torque could do; a base that shakes only if too weak

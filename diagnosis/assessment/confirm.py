@@ -112,13 +112,13 @@ def _run(
     values, log_ratio = _draw(problem, cause, filters, seed)
     try:
         with diverging():
-            result = _filtered(problem, cause, values, best_size(problem, cause), seed)
+            result = filtered_under(problem, cause, values, best_size(problem, cause), seed)
     except (SMCFailed, Diverged):
         return None
     return values, replace(result, log_evidence=result.log_evidence + log_ratio)
 
 
-def _filtered(
+def filtered_under(
     problem: DiagnosisProblem, cause: FittedHypothesis, values: Tensor, size: float, seed: int
 ) -> FilterResult:
     """One filter for each set of parameters (M, p), under a residual of ``size``."""

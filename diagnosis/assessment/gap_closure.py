@@ -135,10 +135,10 @@ def _apart(
         start, _ = data_path(other)
         return other, np.ones(len(other.observations), bool), lambda cause: carried(problem, cause, other, start)
     train, rows = split(problem)
-    return problem, rows, lambda cause: _fitted_before(problem, cause, train)
+    return problem, rows, lambda cause: fitted_before(problem, cause, train)
 
 
-def _fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: DiagnosisProblem) -> FittedHypothesis:
+def fitted_before(problem: DiagnosisProblem, cause: FittedHypothesis, train: DiagnosisProblem) -> FittedHypothesis:
     """``cause`` with the parameters that the first rows give it, along the path that all rows have.
 
     Where the first rows do not know it, it keeps the parameters that all rows give it, and these are not learned again.

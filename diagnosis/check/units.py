@@ -60,12 +60,12 @@ def wrong_units(
         except InputError:  # no times of any recording
             continue
         if _implausible(righted.recording, body, Units()) is None:
-            found.append((_missed(righted, body, rules), tried, righted))
+            found.append((least_misfit(righted, body, rules), tried, righted))
     if not found:
         return implausible, (), reading
     # the first one where no torque tells
     missed, mistakes, righted = min(found, key=lambda each: each[0])
-    own = _missed(reading, body, rules)
+    own = least_misfit(reading, body, rules)
     if implausible is None and not missed < min(limits.max_remaining * own, limits.max_right_misfit):
         return None, (), reading
     if 0 < own < min(missed, limits.max_right_misfit):  # an arm that whirls: its torques say so, and outweigh its size
@@ -137,7 +137,7 @@ def idle(recording: Recording, body: ArticulatedBody) -> bool:
     return not bool((np.abs(recording.torques) > NEGLIGIBLE * typical).any())
 
 
-def _missed(reading: Reading, body: ArticulatedBody, rules: Rules) -> float:
+def least_misfit(reading: Reading, body: ArticulatedBody, rules: Rules) -> float:
     """The misfit of the torques under the window that it is least under; 0 where none are known."""
     fit = TorqueFit(dynamics_for(body), body)
     return min((fit.explain(each).misfit for each in motions(reading, body, rules)), default=0.0)

@@ -69,7 +69,7 @@ def screened_with(found: HypothesisPool, base: FittedHypothesis) -> list[Screene
     # A screen takes as long as what it screens is much: in two halves, or along two paths.
     if not others(base) and not few and found.simulation_path is not None:
         parts = [partial(screen, problem, model, along, free, common, point) for along in (path, found.simulation_path)]
-        return _better_of(*side_by_side(parts, found.workers, problem.budget))
+        return better_of(*side_by_side(parts, found.workers, problem.budget))
     return screen_in_halves(found.workers, problem, model, path, free, common, point, few)
 
 
@@ -81,7 +81,7 @@ def joinable(found: HypothesisPool, taken: Sequence[Effect], *but: Effect) -> li
     return [e for e in free if not (busy and isinstance(e, HiddenHinge))]
 
 
-def _better_of(along: Sequence[Screened], simulated: Sequence[Screened]) -> list[Screened]:
+def better_of(along: Sequence[Screened], simulated: Sequence[Screened]) -> list[Screened]:
     """Effects, and none, where they do best: along the data's path, or along the simulation's own.
 
     A large residual lets the arm follow the data, noise and all: what the camera makes of them shows along a path

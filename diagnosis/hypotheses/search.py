@@ -73,7 +73,7 @@ def search(
     problem.budget.share = problem.rules.search.search_share
     with suppress(Spent):
         _begin(found, start)
-        _run(found)
+        climb_moves(found)
     found.missed = len(problem.budget.missed - found.pool.keys())
     return found
 
@@ -92,18 +92,18 @@ def _begin(found: HypothesisPool, start: Start) -> None:
         problem.budget.share = problem.rules.search.started_share
 
 
-def _run(found: HypothesisPool) -> None:
+def climb_moves(found: HypothesisPool) -> None:
     """Make the best cause's next move until it has none left; raises :class:`.Spent` where the budget ends before."""
     if found.problem.regime.knows_torque and found.has_outliers:
-        _refine_tracker_errors(found)
+        refine_tracker_errors(found)
     made: set[tuple[Move, str]] = set()
-    while step := next((s for s in _moves(found, made) if (s[0], s[1].key) not in made), None):
+    while step := next((s for s in moves_of(found, made) if (s[0], s[1].key) not in made), None):
         move, base = step
         made.add((move, base.key))
         move(found, base)
 
 
-def _moves(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterator[tuple[Move, FittedHypothesis]]:
+def moves_of(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Iterator[tuple[Move, FittedHypothesis]]:
     """Moves of the best cause, in their order, and what of them was ``made`` of others; none is made twice of one.
 
     Several may imitate two of any sizes, and then hide them: what else is at work shows with the best single effect. To
@@ -153,7 +153,7 @@ def _initial_pool(
     return found
 
 
-def _refine_tracker_errors(found: HypothesisPool) -> None:
+def refine_tracker_errors(found: HypothesisPool) -> None:
     """Refine each tracker error by itself, along the path that does not follow outliers and the simulation's own.
 
     Other effects are then added to it, as little else shows before. One by itself that leaves nothing where outliers do

@@ -45,12 +45,12 @@ def follow_neighbours(found: HypothesisPool, number: int) -> None:
     while fresh := [c for c in _near(found, number, found.top - errs) if id(c) not in visited]:
         for cause in fresh:
             visited[id(cause)] = cause
-            _swap_each(found, cause, ("twin", "wider", "narrower"))
+            swap_each(found, cause, ("twin", "wider", "narrower"))
         for cause in _rough(found, number)[: problem.rules.search.max_variants // number]:
             refine_regularised(found, cause)
         best = found.best
         if len(best.effects) == number:
-            _swap_each(found, best, ("similar",))
+            swap_each(found, best, ("similar",))
 
 
 def _near(found: HypothesisPool, number: int, least: float) -> list[FittedHypothesis]:
@@ -73,7 +73,7 @@ def _rough(found: HypothesisPool, number: int) -> list[FittedHypothesis]:
     return sorted(rough, key=lambda cause: -cause.log_evidence)
 
 
-def _swap_each(found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]) -> None:
+def swap_each(found: HypothesisPool, cause: FittedHypothesis, kinds: Container[str]) -> None:
     """Refine a cause with each of its effects at another time, and with neighbours of some ``kinds`` in its place."""
     problem = found.problem
     passive, taken = problem.regime.name == "passive", {effect.key for effect in cause.effects}

@@ -75,14 +75,14 @@ def stretches(recording: Recording, rules: Rules) -> list[Recording]:
     if count <= rules.recording.num_windows:
         return [recording]
     edges = seen[0] + window * np.arange(count + 1)
-    chosen = np.sort(_most_informative(_information(recording.time, table, edges, apart, rules), rules))
+    chosen = np.sort(most_informative(information_in(recording.time, table, edges, apart, rules), rules))
     pieces = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
     return [
         recording.at((recording.time >= edges[piece[0]]) & (recording.time < edges[piece[-1] + 1])) for piece in pieces
     ]
 
 
-def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: float, rules: Rules) -> np.ndarray:
+def information_in(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: float, rules: Rules) -> np.ndarray:
     """X_wᵀ X_w (W, P, P) of each window, from means over ``apart`` seconds of columns (T, C), NaN where missing."""
     per = max(round((edges[1] - edges[0]) / apart), 3)
     bins = np.linspace(edges[0], edges[-1], per * (len(edges) - 1) + 1)
@@ -101,7 +101,7 @@ def _information(time: np.ndarray, table: np.ndarray, edges: np.ndarray, apart: 
     return np.swapaxes(X, 1, 2) @ X
 
 
-def _most_informative(information: np.ndarray, rules: Rules) -> np.ndarray:
+def most_informative(information: np.ndarray, rules: Rules) -> np.ndarray:
     """Numbers (`num_windows`,) of the windows with most information together, by greedy choice."""
     known = rules.recording.window_prior * (information.mean(0) + 1e-9 * np.eye(information.shape[-1]))
     chosen: list[int] = []

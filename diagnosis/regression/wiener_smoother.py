@@ -41,12 +41,12 @@ def smooth(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[SmoothedA
     step = float(np.median(np.diff(time)))
     rough = 10.0 ** np.arange(*FIXED.roughness_decades) / step**2.5
     ratio, noise = _most_likely(time, angle, rough[:, None] * np.ones(angle.shape[1]))
-    return [_smoothed(time, angle, ratio, noise) for time, angle in stretches]
+    return [backward_pass(time, angle, ratio, noise) for time, angle in stretches]
 
 
 def _most_likely(time: np.ndarray, angle: np.ndarray, ratios: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The ratio s/r and the noise r, each (K,), of the highest likelihood among ``ratios`` (G, K)."""
-    *_, innovation, variance = _filtered(time, angle, ratios, keep=False)
+    *_, innovation, variance = forward_pass(time, angle, ratios, keep=False)
     seen = np.isfinite(innovation)
     count = seen.sum(0) - 3
     square = np.where(seen, innovation**2 / variance, 0.0)[3:].sum(0) / count
@@ -58,7 +58,7 @@ def _most_likely(time: np.ndarray, angle: np.ndarray, ratios: np.ndarray) -> tup
     return ratios[best, joints], np.sqrt(square[best, joints])
 
 
-def _steps(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def transitions(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A (T−1, 3, 3) and Q (T−1, 3, 3) for s = 1."""
     h = np.diff(time)
     A, Q = np.zeros((len(h), 3, 3)), np.zeros((len(h), 3, 3))
@@ -70,12 +70,12 @@ def _steps(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return A, Q
 
 
-def _filtered(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, keep: bool = True) -> tuple[np.ndarray, ...]:
+def forward_pass(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, keep: bool = True) -> tuple[np.ndarray, ...]:
     """Means and covariances of the filter and of its predictions, in units of r; innovations and their variances.
 
     ``ratio`` (…, K). Lists of (T, …, K, 3) and (T, …, K, 3, 3); the first two are of length 0 unless kept.
     """
-    A, Q = _steps(time)
+    A, Q = transitions(time)
     h = float(np.median(np.diff(time)))
     spread = max(float(np.nanmax(np.abs(angle - np.nanmean(angle, 0)), initial=0.0)), 1e-9)
     shape = ratio.shape
@@ -113,10 +113,10 @@ def _floor(angle: np.ndarray) -> float:
     return float(np.median(moved)) / 100 if moved.size else 1e-9
 
 
-def _smoothed(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, noise: np.ndarray) -> SmoothedAngles:
+def backward_pass(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, noise: np.ndarray) -> SmoothedAngles:
     """The backward pass of a stretch."""
-    A, _ = _steps(time)
-    mean, covariance, ahead, ahead_covariance, *_ = _filtered(time, angle, ratio)
+    A, _ = transitions(time)
+    mean, covariance, ahead, ahead_covariance, *_ = forward_pass(time, angle, ratio)
     for t in range(len(time) - 2, -1, -1):
         # G = P Aᵀ (P⁻)⁻¹, of symmetric matrices, scaled to a unit diagonal against rounding
         root = np.sqrt(np.einsum("kii->ki", ahead_covariance[t + 1]))

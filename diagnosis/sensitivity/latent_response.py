@@ -39,7 +39,7 @@ def latent_response(model: ArmModel, path: Tensor, count: int, rules: Rules = DE
     sds = model.parameters[f"initial.hidden.{model.effects.hinge.key}"]
     nudges = torch.tensor(sds.tolist(), dtype=path.dtype) * 1e-3
 
-    rest, some = moved(path, rows), _some(model, path[0], rules.screening.slope_turn)
+    rest, some = moved(path, rows), steps_apart(model, path[0], rules.screening.slope_turn)
 
     def slope(nudge: Tensor) -> Tensor:
         shifted = path.clone()
@@ -56,7 +56,7 @@ def latent_response(model: ArmModel, path: Tensor, count: int, rules: Rules = DE
     return path, rest + (slopes @ path[:, :-1, hidden].unsqueeze(-1)).squeeze(-1)
 
 
-def _some(model: ArmModel, path: Tensor, turn: float) -> Tensor:
+def steps_apart(model: ArmModel, path: Tensor, turn: float) -> Tensor:
     """Steps of ``path`` (T, D), from 0, ``turn`` rad or one step apart, the first and the last among them; or all."""
     steps, count = model.time.diff(), len(path) - 1
     if steps.max() - steps.min() > FIXED.uneven_spacing * steps.min():

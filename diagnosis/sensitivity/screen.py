@@ -286,7 +286,7 @@ def screen_in_halves(
     workers: int, problem: DiagnosisProblem, model: ArmModel, path: Tensor, effects: Sequence[Effect], *given: Any
 ) -> list[Screened]:
     """What :func:`screen` says, half of the effects side by side with the rest; ``given`` are its other arguments."""
-    halves = halved([(effect, _cost(effect.bound(model.body), model)) for effect in effects])
+    halves = halved([(effect, cost_of(effect.bound(model.body), model)) for effect in effects])
     one, *rest = side_by_side(
         [partial(screen, problem, model, path, half, *given) for half in halves], workers, problem.budget
     )
@@ -304,7 +304,7 @@ def halved(costs: Sequence[tuple[Effect, int]]) -> list[list[Effect]]:
     return halves
 
 
-def _cost(effect: Effect, model: ArmModel) -> int:
+def cost_of(effect: Effect, model: ArmModel) -> int:
     """Columns of an effect, and a few for any; one of a hidden hinge costs as much as several of another's."""
     parameters = effect.parameters(model.scale)
     straight = sum(not p.grid for p in parameters)

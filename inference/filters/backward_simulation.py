@@ -80,7 +80,7 @@ def backward_simulation(
 
     def step(k: int, t: int, states: Tensor, log_weights: Tensor, path: Tensor, _: Tensor) -> Tensor:
         reach = log_step(model, states.unsqueeze(-3), path[..., k + 1, :].unsqueeze(-2), observations[t], t)
-        _check_density(model, states, reach, t)
+        check_density(model, states, reach, t)
         index = categorical(log_weights.unsqueeze(-2) + reach)
         path[..., k, :] = take_at(states, index)
         # Every third row or so: a block covers ℓ states, so each is still moved twice.
@@ -122,7 +122,7 @@ def walked_back(result: FilterResult, rows: int, num_draws: int, step: Step) -> 
     return path
 
 
-def _check_density(model: StateSpaceModel, states: Tensor, reach: Tensor, t: int) -> None:
+def check_density(model: StateSpaceModel, states: Tensor, reach: Tensor, t: int) -> None:
     """Raise ModelError for log-densities ``reach`` (M, R, N) that are no densities of finite ``states`` (M, N, D).
 
     A simulation may run away from a few of the states: NaN counts as zero where others have a density.

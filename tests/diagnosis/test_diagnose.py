@@ -11,7 +11,7 @@ import torch
 from pendulum import ARM, MANY, PENDULUM, recording_of
 
 from invdyn.diagnosis import diagnose
-from invdyn.diagnosis.assessment.assemble import _unseen, ambiguous
+from invdyn.diagnosis.assessment.assemble import ambiguous, unseen_effects
 from invdyn.diagnosis.assessment.result import Cause, Finding
 from invdyn.diagnosis.problem.diagnosis_problem import CannotFollow, diagnosis_problem
 from invdyn.diagnosis.problem.regime import COMMANDED
@@ -19,7 +19,7 @@ from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
 ROOM = sys.modules[diagnose.__module__]
-SEARCHED = ROOM._searched
+SEARCHED = ROOM.searched
 
 
 @cache
@@ -33,7 +33,7 @@ def rubbing():
 def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
     """They are scored beside the confirmation, with the cause that is likely: SMC may name another."""
     recording, searched = rubbing()
-    monkeypatch.setattr(ROOM, "_searched", lambda *_: searched)
+    monkeypatch.setattr(ROOM, "searched", lambda *_: searched)
     closed = diagnose(recording, PENDULUM).to_json()["shrinkage"]
     assert closed["gap_closed"] > 0.8
     alone = {name: closed[name] for name in ("gap_closed", "interval_90")}
@@ -55,7 +55,7 @@ def test_held_out_rows_are_scored_with_the_cause_that_is_named(monkeypatch):
 def test_what_is_likely_may_fail_on_another_recording(monkeypatch):
     """It is tried there before anybody knows whether it is the best; only the best one's failure is the user's."""
     recording, searched = rubbing()
-    monkeypatch.setattr(ROOM, "_searched", lambda *_: searched)
+    monkeypatch.setattr(ROOM, "searched", lambda *_: searched)
     unseen, failed = ROOM.unseen, []
 
     def fails(bound, none, cause, other):
@@ -95,7 +95,7 @@ def test_what_check_refuses_is_refused_unless_somebody_asked_before(monkeypatch)
         with pytest.raises(InputError, match="the torques have the other sign"):
             diagnose(given, PENDULUM, held_out=other, most=1)
     monkeypatch.setattr(ROOM, "check_before", lambda *_: pytest.fail("asked twice"))
-    monkeypatch.setattr(ROOM, "_searched", lambda *_: sys.exit())
+    monkeypatch.setattr(ROOM, "searched", lambda *_: sys.exit())
     with pytest.raises(SystemExit):
         diagnose(recording, PENDULUM, checked=True)
 
@@ -126,7 +126,7 @@ def test_what_is_named_is_not_said_to_be_hidden():
 
 def test_what_a_torque_could_do_is_hidden_and_what_moves_the_whole_arm_is_not():
     here = diagnosis_problem(replace(recording_of(), torques=None), PENDULUM)
-    hidden = _unseen(here, SimpleNamespace(first=[]))
+    hidden = unseen_effects(here, SimpleNamespace(first=[]))
     assert {"payload", "armature.pivot", "actuator_gain.pivot", "gravity_tilt", "camera_latency"} <= hidden
     assert "base_motion" not in hidden
 

@@ -68,7 +68,7 @@ def test_one_cause_alone_is_confirmed_once():
 def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
     here, _, cause = causes()
     module = sys.modules[confirm.__module__]
-    asked, own = [], module._filtered
+    asked, own = [], module.filtered_under
 
     def dies(problem, each, *rest):
         asked.append(each)
@@ -76,7 +76,7 @@ def test_where_one_has_died_the_others_are_not_confirmed_again(monkeypatch):
             raise SMCFailed("all particles of a filter have weight zero")
         return own(problem, each, *rest)
 
-    monkeypatch.setattr(module, "_filtered", dies)
+    monkeypatch.setattr(module, "filtered_under", dies)
     here = replace(here, rules=DEFAULT.replace(clear_se=0.0))
     first, second = confirm_all(here, [cause, replace(cause)], 3)
     assert np.isfinite(first.log_evidence)
@@ -104,7 +104,7 @@ def test_where_filters_die_the_linearised_model_gives_the_posterior(monkeypatch)
     def dies(*_):
         raise SMCFailed("all particles of a filter have weight zero")
 
-    monkeypatch.setattr(sys.modules[confirm.__module__], "_filtered", dies)
+    monkeypatch.setattr(sys.modules[confirm.__module__], "filtered_under", dies)
     run = confirm(here, cause, 1)
     assert run.log_evidence == -np.inf
     assert np.isnan(run.log_evidence_sd)

@@ -230,5 +230,5 @@ def test_what_was_refined_is_not_refined_again(monkeypatch):
     def astray(*_):
         raise CannotFollow("astray")
 
-    monkeypatch.setattr(room, "_fitted_before", astray)
+    monkeypatch.setattr(room, "fitted_before", astray)
     assert by_effect(here, known, both, there, None, 0) == {}

@@ -103,7 +103,7 @@ def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against
 def test_one_mistake_comes_before_two_that_fit_better(monkeypatch):
     """Angles that are small enough may be in degrees as well, and an arm that lacks something fits anything."""
     missed = iter(np.linspace(1, 0, 100))
-    monkeypatch.setattr(sys.modules[wrong_units.__module__], "_missed", lambda *_: next(missed))
+    monkeypatch.setattr(sys.modules[wrong_units.__module__], "least_misfit", lambda *_: next(missed))
     log = robot_log(1.0, camera=False)
     _, mistakes, righted = wrong_units(Reading(replace(log, time=1e3 * log.time)), ARM)
     assert [mistake.kind for mistake in mistakes] == ["time"]

@@ -13,7 +13,7 @@ from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import _moves, _refine_tracker_errors, _run, exchange, search
+from invdyn.diagnosis.hypotheses.search import climb_moves, exchange, moves_of, refine_tracker_errors, search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
@@ -100,7 +100,7 @@ def test_what_imitates_one_of_two_gives_way_while_the_other_stays():
     none, other = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (drag, rotor)))
     found = HypothesisPool(bound, [friction, drag, rotor], {"": none, other.key: other}, [], path, stray)
     assert found.ranked[0] is other
-    _run(found)
+    climb_moves(found)
     best = found.ranked[0]
     assert {effect.key for effect in best.effects} == {friction.key, rotor.key}
     assert [best.values[name.removeprefix("effect.")] for name in values] == pytest.approx([0.05, 0.02], rel=0.15)
@@ -166,7 +166,7 @@ def test_the_best_cause_is_left_smaller_larger_or_exchanged(best, complete, swap
     pool[given.key] = replace(given, log_evidence=500.0 if best else 0.0, by_size=by_size)
     bound = replace(bound, rules=bound.rules.replace(max_effects=most))
     found = HypothesisPool(bound, candidates, pool if best else {given.key: given}, [], path, False)
-    made = _moves(found, {(exchange, "")} if swapped else set())
+    made = moves_of(found, {(exchange, "")} if swapped else set())
     assert [f"{move.__name__} {name[base.key]}" for move, base in made] == moves
 
 
@@ -183,7 +183,7 @@ def test_no_move_is_made_twice_and_what_is_better_moves_next(monkeypatch):
                 pool.add(of[each])
 
         monkeypatch.setattr(sys.modules[search.__module__], move, made)
-    _run(found)
+    climb_moves(found)
     assert asked == ["add ", "add a", "exchange a", "drop abc", "add abc", "exchange abc"]
 
 
@@ -289,7 +289,7 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
     monkeypatch.setattr(module, "refine_searched", lambda *_: mistaken)
     monkeypatch.setattr(module, "screened_with", lambda *_: screened)
     monkeypatch.setattr(module, "refine_best", promising)
-    _refine_tracker_errors(found)
+    refine_tracker_errors(found)
     assert asked == ([] if taken is None else [("", screened, DEFAULT.search.max_candidates_for_outliers)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])

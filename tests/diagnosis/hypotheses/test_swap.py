@@ -235,7 +235,7 @@ def test_variants_are_for_the_best_few_that_have_one(monkeypatch, number, gains,
     path, stray = data_path(bound)
     none, followed = refine(bound, (), {}, path, LOOSE, rounds=1), []
     monkeypatch.setattr(SWAP, "refine_regularised", lambda found, cause: followed.append(cause.key))
-    monkeypatch.setattr(SWAP, "_swap_each", lambda *_: None)
+    monkeypatch.setattr(SWAP, "swap_each", lambda *_: None)
     left = np.eye(len(none.by_size))[-1] * 20.0  # a residual gains so many nats
 
     def cause(gain, *effects):

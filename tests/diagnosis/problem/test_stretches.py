@@ -51,9 +51,9 @@ def test_where_the_arm_moves():
 def test_they_tell_more_than_any_evenly_spread_ones():
     log = robot_log(60, camera=False)
     edges = np.arange(0, 60.1, 0.4)
-    information = module._information(log.time, log.angles, edges, DEFAULT.recording.max_row_spacing, DEFAULT)
-    chosen = np.linalg.slogdet(information[module._most_informative(information, DEFAULT)].sum(0))[1]
-    assert len(set(module._most_informative(information, DEFAULT))) == DEFAULT.recording.num_windows
+    information = module.information_in(log.time, log.angles, edges, DEFAULT.recording.max_row_spacing, DEFAULT)
+    chosen = np.linalg.slogdet(information[module.most_informative(information, DEFAULT)].sum(0))[1]
+    assert len(set(module.most_informative(information, DEFAULT))) == DEFAULT.recording.num_windows
     for first in range(7):
         assert chosen > np.linalg.slogdet(information[first::7][: DEFAULT.recording.num_windows].sum(0))[1]
 

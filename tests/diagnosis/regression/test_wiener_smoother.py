@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from invdyn.diagnosis.regression.wiener_smoother import _filtered, _smoothed, _steps, smooth
+from invdyn.diagnosis.regression.wiener_smoother import backward_pass, forward_pass, smooth, transitions
 
 
 def test_it_is_the_gaussian_of_all_rows():
@@ -13,9 +13,9 @@ def test_it_is_the_gaussian_of_all_rows():
     angle = rng.standard_normal((9, 1))
     angle[4] = np.nan
     ratio, noise = np.array([30.0]), np.array([0.2])
-    found = _smoothed(time, angle, ratio, noise)
-    A, Q = _steps(time)
-    _, _, ahead, spread, *_ = _filtered(time, angle, ratio)
+    found = backward_pass(time, angle, ratio, noise)
+    A, Q = transitions(time)
+    _, _, ahead, spread, *_ = forward_pass(time, angle, ratio)
     precision, linear = np.zeros((27, 27)), np.zeros(27)
     first = np.linalg.inv(spread[0, 0] * noise**2)
     precision[:3, :3] += first

@@ -56,11 +56,11 @@ def test_slopes_of_some_rows_do_for_all(bent):
     model, path = bent
     module = sys.modules[latent_response.__module__]
     paths, following = latent_response(model, path, 3)
-    assert len(module._some(model, paths[0], DEFAULT.screening.slope_turn)) < len(path) / 2
+    assert len(module.steps_apart(model, paths[0], DEFAULT.screening.slope_turn)) < len(path) / 2
     uneven = ArmModel(ARM, model.time + 0.002 * (torch.arange(len(path)) > 70))
-    assert len(module._some(uneven, path, DEFAULT.screening.slope_turn)) == len(path) - 1
+    assert len(module.steps_apart(uneven, path, DEFAULT.screening.slope_turn)) == len(path) - 1
     every = DEFAULT.replace(slope_turn=1e-9)
-    assert len(module._some(model, paths[0], 1e-9)) == len(path) - 1
+    assert len(module.steps_apart(model, paths[0], 1e-9)) == len(path) - 1
     exactly, next_exactly = latent_response(model, path, 3, every)
     hinge = slice(2, 4)
     off = (paths - exactly).abs().amax(1)[:, hinge]

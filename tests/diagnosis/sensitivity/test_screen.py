@@ -7,7 +7,7 @@ import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
 
-from invdyn.diagnosis.hypotheses.add import _better_of
+from invdyn.diagnosis.hypotheses.add import better_of
 from invdyn.diagnosis.hypotheses.continuation import continued, data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
@@ -15,7 +15,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import prior_sd, unknowns
 from invdyn.diagnosis.rules import DEFAULT
-from invdyn.diagnosis.sensitivity.screen import _cost, halved, screen, screen_in_halves, windows
+from invdyn.diagnosis.sensitivity.screen import cost_of, halved, screen, screen_in_halves, windows
 from invdyn.diagnosis.sensitivity.whiten import linear_of
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models.effects import EFFECTS
@@ -73,7 +73,7 @@ def test_what_the_camera_does_shows_beside_the_simulation_alone():
         screen(bound, bound.model, each, effects, common, common.mean)
         for each in (path, continued(bound, bound.model, path, DEFAULT.residual.min_path_size))
     )
-    aside = _better_of(along, own)
+    aside = better_of(along, own)
     before, after = ({s.effect.key: s for s in some if s.effect} for some in (along, aside))
     assert set(before) == set(after)
     here = shutter.key
@@ -133,7 +133,7 @@ def test_halves_are_a_ranking_of_the_whole():
 
 def test_halves_take_as_long_as_each_other():
     here = diagnosis_problem(record(random_arm(ARM, duration=0.8, fps=50, noise=0.002, commanded=True))[0], ARM)
-    costs = {e.key: _cost(e, here.model) for e in considered(here) if not is_searched(e)}
+    costs = {e.key: cost_of(e, here.model) for e in considered(here) if not is_searched(e)}
     one, other = halved([(e, costs[e.key]) for e in considered(here) if e.key in costs])
     assert sorted(e.key for e in (*one, *other)) == sorted(costs)
     taken = [sum(costs[e.key] for e in half) for half in (one, other)]

@@ -13,7 +13,7 @@ from invdyn.inference import (
     gauss_newton,
     genealogy,
 )
-from invdyn.inference.filters.backward_simulation import _check_density
+from invdyn.inference.filters.backward_simulation import check_density
 from invdyn.inference.probe import ModelError
 
 F32, F64 = torch.float32, torch.float64
@@ -161,8 +161,8 @@ def test_states_that_a_simulation_runs_away_from_have_no_density():
     """A few of them: the draw goes through others. Where none has a density, the model is refused."""
     states = torch.zeros(1, 3, 2)
     reach = torch.tensor([[[0.0, torch.nan, -1.0]]])
-    _check_density(None, states, reach, 1)
+    check_density(None, states, reach, 1)
     with pytest.raises(ModelError, match="expected a finite log-density in row 1"):
-        _check_density(None, states, torch.full_like(reach, torch.nan), 1)
+        check_density(None, states, torch.full_like(reach, torch.nan), 1)
     with pytest.raises(ModelError, match="expected a finite log-density in row 1"):
-        _check_density(None, states, torch.tensor([[[0.0, torch.inf, -1.0]]]), 1)
+        check_density(None, states, torch.tensor([[[0.0, torch.inf, -1.0]]]), 1)
