@@ -61,7 +61,7 @@ SETTINGS = {  # simulations, options, arguments, and which draws count
     "svi": (60, DRAWS, {}, 1),
     "differentiate": (200, DRAWS, {}, 1),
 }
-"""By method, as the figure shows them; "nested" is "smc" by another name."""
+"""By method, as the figure shows them."""
 OTHER_SEEDS = 1_000_000  # the method's own random numbers must not be those that made its data
 ALPHA = 0.05
 FIGURE = Path(__file__).parents[1] / "docs" / "calibration.png"
@@ -270,9 +270,8 @@ def draw(found: dict[str, np.ndarray], path: Path = FIGURE) -> None:
                 z = np.repeat(step, 2)
                 f = np.stack([np.arange(len(step)), np.arange(1, len(step) + 1)], 1).ravel() / len(step)
                 axes.plot([0, *z, 1], [0, *(f - z), 0], color=color, linewidth=width, alpha=0.85)
-            name = "smc, nested" if method == "smc" else method
             p = smallest(uniform.p_value(u))
-            axes.set_title(f"{name}   ({u.shape[1]} simulations, p {_p(p)})", loc="left")
+            axes.set_title(f"{method}   ({u.shape[1]} simulations, p {_p(p)})", loc="left")
             axes.set(xlim=(0, 1), ylim=(-0.55, 0.55))
         for axes in panels[len(found) :]:
             axes.axis("off")

@@ -7,7 +7,7 @@
     human       the paper's human arm, frames 50 to 250, parameters and lengths fitted; no truth
 
 Columns as :mod:`invdyn.inference.compare` has them; the log score is over the last fifth of the rows, with parameters
-fitted without it, where they are fitted. Scores of torques are shoulder / elbow. "nested" is "smc" by another name.
+fitted without it, where they are fitted. Scores of torques are shoulder / elbow.
 
     INVDYN_DATA=… python benchmarks/ranking.py                      the tables, and benchmarks/ranking.md
     --recordings simulated,short   --methods smc,svi   --keep ranking.json       go on from what it holds

@@ -21,7 +21,7 @@ from invdyn.models.engine.drives import Drive
 from invdyn.models.torques import OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording, Truth
 
-ENGINE_METHODS = ("smc", "nested", "bootstrap", "laplace", "particle-gibbs")
+ENGINE_METHODS = ("smc", "bootstrap", "laplace", "particle-gibbs")
 """Methods that need no slopes of the dynamics."""
 FILTERS, PARTICLES, DRAWS = 16, 200, 8
 """Default sizes: a step of MuJoCo takes a hundred times as long as one of the compiled arms."""

@@ -20,7 +20,7 @@ from .film_commands import label, track, train
 from .inference_options import NONE, Inference, kinematic_arguments, open_workers
 from .live_commands import live
 from .model_commands import compare_model
-from .options import FolderOut, Isolate, Methods, Outputs, Replicates
+from .options import FolderOut, Isolate, Method, Methods, Outputs, Replicates
 from .recipes import Recipe
 from .result_commands import plot, view
 from .robot_commands import check
@@ -66,7 +66,7 @@ def infer(
     given: Inference,
     out: Outputs = None,
     recipe: Recipe = None,
-    method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "smc",
+    method: Method = "smc",
     engine: Annotated[
         str, Setting("dynamics: mujoco for contact, loops, tendons, muscles, or own; default: by the body's file")
     ] = "auto",

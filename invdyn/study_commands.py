@@ -8,7 +8,7 @@ import typer
 
 from .console import ProgressBar, say
 from .inference_options import Inference, open_workers
-from .options import FolderOut
+from .options import FolderOut, Method
 from .study_table import ManyTrials, checked, read_rows, read_trials
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ MAX_LINES = 20
 def trials(
     given: ManyTrials,
     out: FolderOut,
-    method: Annotated[str, typer.Option(help="Inference method; an unknown name lists them all.")] = "laplace",
+    method: Method = "laplace",
     nwb: Annotated[bool, typer.Option("--nwb", help="Write torques and keypoints of each session as NWB too.")] = False,
 ) -> None:
     """Infer many trials, sharing within sessions.

@@ -29,7 +29,7 @@
 #
 # | | what it does | what it leaves out |
 # |---|---|---|
-# | `smc` (`nested`) | particle filters that look ahead, weighed by their evidence | nothing, with enough particles |
+# | `smc` | particle filters that look ahead, weighed by their evidence | nothing, with enough particles |
 # | `bootstrap` | the same, proposing blindly | nothing, with *very* many particles |
 # | `vsmc` | `smc` with a guide trained on the bound $\mathbb{E} \log \hat p(y) \le \log p(y)$ | nothing, as `smc` |
 # | `particle-gibbs`, `nuts` | Markov chains of whole paths | nothing, given time |

@@ -14,7 +14,7 @@ from pathlib import Path
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.recordings import InputError
 
-PARTICLES = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "vsmc"})
+PARTICLES = frozenset({"smc", "bootstrap", "particle-gibbs", "vsmc"})
 """Methods that keep particles; the others have trajectories alone."""
 
 

@@ -3,7 +3,7 @@
 The sets (:mod:`.fitting.parameter_draws`) differ in their parameters alone, and so do their Gaussian smoothers and the
 guides made of these (:class:`.affine.Corrected`, without a correction). A batch of filters with a set each takes hardly
 longer than one with the same for all: what a row costs is its number of operations. By "laplace" draws of a set are of
-its smoother; by "smc" or "nested" they are ancestral lines, which meet seldom under a guide that looks ahead.
+its smoother; by "smc" they are ancestral lines, which meet seldom under a guide that looks ahead.
 
 A set whose smoother has no finite evidence, and models with kinks, go one by one (:func:`.marginalise.over_bodies`).
 
@@ -41,7 +41,7 @@ from invdyn.inference.smoothing.posterior_linearisation import posterior_lineari
 from invdyn.inference.variational.affine import Corrected
 from invdyn.models import ArmModel
 
-BATCHED = frozenset({"laplace", "smc", "nested"})
+BATCHED = frozenset({"laplace", "smc"})
 """Methods that take sets in a batch."""
 ROWS_AT_ONCE = 20_000
 """Rows × parameter sets that are linearised in one batch: memory."""

@@ -1,7 +1,7 @@
 """All methods by name, each called as :func:`.smc.smc` is: problem in, InferenceData out.
 
-"smc" and "nested" are one sampler under two names: M filters of N particles under an outer importance sampler
-(:mod:`.nested`), with the controlled guide. One filter alone is its case M = 1.
+"smc" is M filters of N particles under an outer importance sampler (:mod:`.nested`), with the controlled guide. One
+filter alone is its case M = 1.
 """
 
 import time
@@ -39,21 +39,8 @@ def timed(method: Method) -> Method:
     return run
 
 
-def named(name: str, method: Method) -> Method:
-    """Return ``method`` with its results under another name."""
-
-    @wraps(getattr(method, "func", method))
-    def run(*args: Any, **kwargs: Any) -> az.InferenceData:
-        idata = method(*args, **kwargs)
-        idata.attrs["method"] = idata["sample_stats"].attrs["method"] = name
-        return idata
-
-    return run
-
-
 METHODS: dict[str, Method] = {
     "smc": timed(partial(smc, guide="controlled")),
-    "nested": timed(named("nested", partial(smc, guide="controlled"))),
     "bootstrap": timed(partial(smc, guide="bootstrap")),
     "laplace": timed(laplace),
     "svi": timed(partial(svi, guide="svi")),
@@ -72,7 +59,7 @@ PARAMETER_METHODS: dict[str, Method] = {
 }
 """Methods of any model whose parameters have priors, which they learn."""
 
-DISTRIBUTED = frozenset({"smc", "nested", "bootstrap", "particle-gibbs", "smc2"})
+DISTRIBUTED = frozenset({"smc", "bootstrap", "particle-gibbs", "smc2"})
 """Methods that an executor's workers share."""
 
 RESUMED = DISTRIBUTED | {"vsmc"}

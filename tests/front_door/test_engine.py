@@ -59,7 +59,7 @@ def test_which_files_need_it(leg, tmp_path):
         (("--set", "engine=bullet"), "--set engine: expected auto, mujoco, own, got 'bullet'"),
         (("--set", "drive=legs"), "expected a drive among auto, joints, actuators, wrench:BODY, got 'legs'"),
         (("--set", "drive=actuators"), "expected a file with actuators, got none"),
-        (("--method", "svi"), "expected a method among smc, nested, bootstrap, laplace, particle-gibbs for MuJoCo's"),
+        (("--method", "svi"), "expected a method among smc, bootstrap, laplace, particle-gibbs for MuJoCo's"),
         (("--learn", "lengths"), "--learn: has no part in MuJoCo's engine"),
     ],
 )

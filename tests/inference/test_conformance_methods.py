@@ -262,13 +262,6 @@ def precision(chain, y):
 MANY = SMCOptions(num_filters=40, num_particles=50, num_draws=10, dtype=torch.float64)
 
 
-@pytest.mark.quick("1")
-def test_nested_is_another_name_of_smc(case):
-    one, other = (METHODS[name](case, options=SIZES, seed=2) for name in ("smc", "nested"))
-    assert one["posterior"].equals(other["posterior"])
-    assert other.attrs["method"] == other["sample_stats"].attrs["method"] == "nested"
-
-
 @pytest.mark.quick("laplace", "smc", "vsmc")
 @pytest.mark.parametrize("method", ["laplace", "smc", "vsmc", "svi-markov", "nuts", "particle-gibbs"])
 def test_exact_methods_agree_with_the_kalman_smoother(linear, method):

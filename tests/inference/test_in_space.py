@@ -77,7 +77,7 @@ def problem(family="gaussian", **options):
 
 
 @pytest.mark.quick("laplace", "smc", "vsmc")
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "nested"])  # which is smc by another name
+@pytest.mark.parametrize("method", METHODS)
 def test_every_method_gives_the_documented_posterior(method, tmp_path):
     idata = METHODS[method](problem(), options=SIZES, seed=3, **QUICK.get(method, {}))
     posterior = idata["posterior"]

@@ -290,7 +290,7 @@ def test_start_values_are_of_the_right_size():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "magic"}, "expected a method among smc, nested, bootstrap.*got 'magic'"),
+        ({"method": "magic"}, "expected a method among smc, bootstrap.*got 'magic'"),
         ({"settings": {"torque.scales": 1.0}}, "no parameter torque.scales.*torque.scale"),
         ({"settings": {"torque.scale": [1.0, 2.0, 3.0]}}, "torque.scale"),
     ],

@@ -45,7 +45,7 @@ def linear():
     return chain.model(T), rows, kalman(chain, rows)[0], means, sd
 
 
-@pytest.mark.quick("smc", "vsmc", "laplace", "nested", "bootstrap", "particle-gibbs")
+@pytest.mark.quick("smc", "vsmc", "laplace", "bootstrap", "particle-gibbs")
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path):
     model, rows, evidence, means, sd = linear
@@ -61,7 +61,7 @@ def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path
     assert np.array_equal(idata["observed_data"]["y"], rows, equal_nan=True)
     if method not in WITHOUT_EVIDENCE:
         assert np.isfinite(idata.attrs["log_evidence"])
-    if method in ("smc", "nested", "laplace", "vsmc"):
+    if method in ("smc", "laplace", "vsmc"):
         assert idata.attrs["log_evidence"] == pytest.approx(evidence, abs=1e-4)
 
     table = az.summary(idata, var_names=["state"])
@@ -204,7 +204,7 @@ def test_what_has_no_body_is_refused_in_one_line(linear):
     model, rows, *_ = linear
     with pytest.raises(ModelError, match="differentiate needs a body"):
         infer_states(model, rows, method="differentiate")
-    with pytest.raises(ModelError, match="expected a method among smc, nested"):
+    with pytest.raises(ModelError, match="expected a method among smc, bootstrap"):
         infer_states(model, rows, method="magic")
 
 

@@ -37,13 +37,13 @@ def cases() -> Iterator[Case]:
     for call, option in counted:
         for value in COUNTS:
             yield Case("count in an option", with_option(call, option, value), what=f"{option} {value}")
-    for method in ("smc", "bootstrap", "nested", "particle-gibbs", "vsmc", "nuts", "svi"):
+    for method in ("smc", "bootstrap", "particle-gibbs", "vsmc", "nuts", "svi"):
         for option in ("--particles", "--filters", "--draws"):
             if option == "--particles" and method in ("nuts", "svi"):  # they have none
                 continue
             call = with_option((*INFER, "--method", method), option, str(10**9))
             yield Case("memory", call, what=f"{method} {option} 10⁹")
-    for method in ("bootstrap", "nested", "particle-gibbs", "vsmc", "nuts", "svi", "differentiate"):
+    for method in ("bootstrap", "particle-gibbs", "vsmc", "nuts", "svi", "differentiate"):
         for more in (("--seed", str(2**63 - 1)), ("--filters", "1"), ("--particles", "1")):
             call = with_option((*INFER, "--method", method), *more)
             yield Case("least and most", call, what=f"{method} {' '.join(more)}")
