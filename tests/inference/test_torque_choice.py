@@ -131,6 +131,7 @@ def test_a_robots_torque_is_known_more_narrowly_by_the_sum():
     assert 0.8 < covers < 0.99
 
 
+@pytest.mark.long
 def test_draws_are_of_each_process_and_of_uncertain_parameters(smooth, tmp_path):
     """Its evidence is the mixture's, its band no narrower than that of the most probable process as it was fitted."""
     few = replace(smooth, time=TIME[:60], angles=smooth.angles[:60], keypoints=smooth.keypoints[:60])

@@ -18,6 +18,8 @@ from invdyn.diagnosis.write_back.output_error import refine
 from invdyn.diagnosis.write_back.write_back import write_back
 from invdyn.models import Body
 
+pytestmark = pytest.mark.long  # one diagnosis of 12 CPU s for all
+
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
@@ -87,7 +89,6 @@ def test_it_says_why_nothing_is_written(arm, found, tmp_path):
     assert "MuJoCo replays the file that the regression corrects no better" in said
 
 
-@pytest.mark.long
 def test_the_corrected_file_and_the_ensemble_are_the_output_error_fits(arm, found, tmp_path):
     path, body = arm
     logs, diagnosis = found

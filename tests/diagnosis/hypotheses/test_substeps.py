@@ -40,6 +40,7 @@ def test_errors_of_integration_cost_no_evidence():
     assert finely_stepped(fine, data_path(fine)[0]).model.substeps == fine.model.substeps
 
 
+@pytest.mark.long
 def test_a_limbs_own_torque_takes_errors_along():
     here = diagnosis_problem(replace(seen(), torques=None), ARM).in_substeps(1)
     assert finely_stepped(here, data_path(here)[0]) is here

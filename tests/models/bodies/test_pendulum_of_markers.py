@@ -64,6 +64,7 @@ def pendulum(data_folder, tmp_path, monkeypatch):
     return names
 
 
+@pytest.mark.long
 def test_every_site_of_parallel_hinges_is_a_keypoint_and_all_of_them_are_inferred_from(pendulum):
     body = load_body("pendulum.xml", recording="markers.csv")
     assert set(body.keypoint_names) == set(pendulum)
