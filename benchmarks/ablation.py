@@ -23,7 +23,7 @@ from typing import Any
 
 from scipy.stats import beta
 
-from invdyn.diagnosis.diagnose import _searched
+from invdyn.diagnosis.diagnose import searched as search_problem
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem, diagnosis_problem
 from invdyn.models import Body
@@ -133,7 +133,7 @@ def searched(bound: DiagnosisProblem, left_out: tuple[str, ...], without: str) -
         setattr(room, called, without_it(name, rule) if name == without else watch.watched(name, rule))
     started = time.process_time()
     try:
-        found = _searched(bound, left_out, 1)
+        found = search_problem(bound, left_out, 1)
     finally:
         for name, (room, rule) in kept.items():
             setattr(room, name, rule)

@@ -34,7 +34,7 @@ from invdyn.blindcheck.kinds import KINDS
 from invdyn.blindcheck.worker import diagnose_case
 
 stage: Any = import_module("invdyn.diagnosis.diagnose")
-SEARCHED = stage._searched
+SEARCHED = stage.searched
 MEASURES = ("by_set", "exact", "detected", "outside", "some", "side", "joint")
 
 
@@ -61,7 +61,7 @@ def keep(pool: Path) -> None:
         pool.write_bytes(pickle.dumps(found))
         return found
 
-    stage._searched = searched
+    stage.searched = searched
 
 
 def run(folder: Path, out: Path, pools: Path | None, only: Sequence[str]) -> None:

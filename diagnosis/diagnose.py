@@ -10,7 +10,7 @@ becomes a formula (:mod:`.symbolic_regression`) with a place (:mod:`.localisatio
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -22,7 +22,7 @@ from invdyn.diagnosis.assessment.assemble import assembled, nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, measured
 from invdyn.diagnosis.assessment.findings import key
 from invdyn.diagnosis.assessment.gap_closure import Closed, Unseen, all_confirmed, by_effect, closed, unseen
-from invdyn.diagnosis.assessment.model_posterior import in_part_only, only, weigh
+from invdyn.diagnosis.assessment.model_posterior import Weighed, in_part_only, only, weigh
 from invdyn.diagnosis.assessment.power import too_little
 from invdyn.diagnosis.assessment.regression_alone import by_regression_alone
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
@@ -122,30 +122,88 @@ def diagnose(
     Too few rows of the recording itself are an answer and no error (:attr:`.Diagnosis.not_enough_data`). So are rows in
     which a large torque could be missing and not show (:mod:`.power`).
     """
-    stage = 0, ""
+    report = _Stages(progress)
+    rules = _stated(rules, effects, without, most, tolerance, robot, budget)
+    report(0, "bind")
+    keeper = None
+    if checkpoint is not None:
+        own = {"effects": sorted(effects), "passive": passive, "without": list(without), "seed": seed, "budget": budget}
+        keeper = _kept(checkpoint, recording, held_out, body, rules, own)
+    if not checked:
+        for each in (*_each(recording), *_each(held_out or ())):
+            refused = (*refused, *check_before(each, body, passive, force, rules))
+    bind = partial(diagnosis_problem, body=body, passive=passive, force=force, rules=rules)
+    try:
+        bound = bind(recording)
+    except NotEnoughData as error:
+        whole, _ = joined(_each(recording))
+        return nothing_to_say(whole, body, seed, passive, str(error), rules)
+    effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
+    counted, seconds = (effort, math.inf) if budget is None else (math.inf, budget)
+    shared: dict[str, Any] = {
+        "budget": Budget(counted, seconds, on_progress=None if progress is None else report.trying),
+        "checkpoint": keeper,
+        "catalogue": effects if isinstance(effects, Catalogue) else Catalogue(effects),
+    }
+    bound = replace(bound, **shared)
+    other = None if held_out is None else replace(bind(held_out), **shared)
+    _check_regimes(bound, other)
+    said = regress(recording, body, passive=passive, rules=rules, held_out=held_out)
+    if said is not None and checkpoint is not None:
+        write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")
+    if said is not None and interim is not None:
+        interim(said)
+    run = _Run(bound, other, body, said, passive, robot, seed, workers, tuple(without), report)
+    result = by_regression_alone(said, bound, seed, passive) if robot and said is not None and said.far_gains else None
+    if result is None:
+        result = _by_search(run)
+    report(5, "done")
+    return replace(result, method=result.method | _notes(recording, refused, rules))
 
-    def report(done: int, what: str) -> None:
-        nonlocal stage
-        stage = done, what
-        if progress is not None:
-            progress(done, 5, what)
 
-    def trying(what: str) -> None:
-        done, name = stage
-        if progress is not None:
-            progress(done, 5, f"{name}; {what}")
+class _Stages:
+    """Passes on the progress: a stage by its number, and within it what is tried."""
 
-    def ended(result: Diagnosis) -> Diagnosis:
-        """With what was not looked at of the recording, and what it is refused for."""
-        report(5, "done")
-        said = {}
-        if (unused := left_out(_each(recording), rules)) is not None:
-            said[LEFT_OUT] = unused
-        if refused:
-            words = "; ".join(refused)
-            said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {words}"
-        return replace(result, method=result.method | said)
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self._stage = progress, (0, "")
 
+    def __call__(self, done: int, what: str) -> None:
+        self._stage = done, what
+        if self._progress is not None:
+            self._progress(done, 5, what)
+
+    def trying(self, what: str) -> None:
+        done, name = self._stage
+        if self._progress is not None:
+            self._progress(done, 5, f"{name}; {what}")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What the stages share: the recording, the held-out one, what a regression says, and how to search."""
+
+    bound: DiagnosisProblem
+    other: DiagnosisProblem | None
+    body: ArticulatedBody
+    said: Regression | None
+    passive: bool
+    robot: bool
+    seed: int
+    workers: int
+    without: tuple[str, ...]
+    report: _Stages
+
+
+def _stated(
+    rules: Rules,
+    effects: Mapping[str, Any],
+    without: Sequence[str],
+    most: int | None,
+    tolerance: float | None,
+    robot: bool,
+    budget: float | None,
+) -> Rules:
+    """The rules, with the numbers that the arguments give; InputError for arguments that make no sense."""
     if isinstance(without, str):
         raise InputError(f"without: expected names of effects, such as ['payload'], got the text {without!r}")
     for name in without:
@@ -163,78 +221,109 @@ def diagnose(
         raise InputError(f"expected a tolerance from 0 to 1, a share of a typical torque, got {tolerance:g}")
     if budget is not None and not budget > 0:
         raise InputError(f"expected a budget of some seconds, got {budget:g}: leave it out for the usual one")
-    report(0, "bind")
-    keeper = None
-    if checkpoint is not None:
-        run = {
-            "version": version("invdyn"),
-            "recording": content_digest(_each(recording)),
-            "held_out": content_digest(_each(held_out or ())),
-            "body": repr(body),
-            "effects": sorted(effects),
-            **{"passive": passive, "without": list(without), "most": most, "seed": seed},
-            **{"budget": budget, "tolerance": tolerance, "rules": content_digest(rules)},
-        }
-        keeper = Checkpoint(checkpoint, run, "diagnosis")
-        if keeper.load() is None:  # raises for another diagnosis'
-            keeper.save({})
-    if not checked:
-        for each in (*_each(recording), *_each(held_out or ())):
-            refused = (*refused, *check_before(each, body, passive, force, rules))
-    try:
-        bound = diagnosis_problem(recording, body, passive=passive, force=force, rules=rules)
-    except NotEnoughData as error:
-        whole, _ = joined(_each(recording))
-        return nothing_to_say(whole, body, seed, passive, str(error), rules)
-    effort = rules.search.passes_per_row * max(len(bound.observations), rules.search.min_budget_rows)
-    work = effort if budget is None else math.inf
-    allowed = Budget(work, math.inf if budget is None else budget, on_progress=None if progress is None else trying)
-    catalogue = effects if isinstance(effects, Catalogue) else Catalogue(effects)
-    bound = replace(bound, budget=allowed, checkpoint=keeper, catalogue=catalogue)
-    other = None
-    if held_out is not None:
-        other = diagnosis_problem(held_out, body, passive=passive, force=force, rules=rules)
-        other = replace(other, budget=allowed, checkpoint=keeper, catalogue=catalogue)
-    if other is not None and other.regime != bound.regime:
-        raise InputError(
-            f"{other.problem.recording.name}: expected a held-out recording with torques "
-            f"{'in it' if bound.regime.knows_torque else 'that are unknown'}, as {bound.problem.recording.name} "
-            f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
-        )
-    said = regress(recording, body, passive=passive, rules=rules, held_out=held_out)
-    if said is not None and checkpoint is not None:
-        write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")
-    if said is not None and interim is not None:
-        interim(said)
-    if robot and said is not None and said.far_gains:
-        alone = by_regression_alone(said, bound, seed, passive)
-        if alone is not None:
-            return ended(alone)
-    report(1, "screen and refine")
-    found = searched(bound, without, workers, start_of(said if robot else None, bound, passive))
-    bound = found.problem
+    return rules
+
+
+def _kept(
+    checkpoint: str | Path,
+    recording: Recording | Sequence[Recording],
+    held_out: Recording | Sequence[Recording] | None,
+    body: ArticulatedBody,
+    rules: Rules,
+    own: Mapping[str, Any],
+) -> Checkpoint:
+    """The checkpoint of this diagnosis, made where it is missing; InputError for another diagnosis'."""
+    run = {
+        "version": version("invdyn"),
+        "recording": content_digest(_each(recording)),
+        "held_out": content_digest(_each(held_out or ())),
+        "body": repr(body),
+        **own,
+        **{"most": rules.search.max_effects, "tolerance": rules.evidence.tolerance, "rules": content_digest(rules)},
+    }
+    keeper = Checkpoint(checkpoint, run, "diagnosis")
+    if keeper.load() is None:  # raises for another diagnosis'
+        keeper.save({})
+    return keeper
+
+
+def _check_regimes(bound: DiagnosisProblem, other: DiagnosisProblem | None) -> None:
+    """Raise InputError where the torques of one recording are known and those of the other are not."""
+    if other is None or other.regime == bound.regime:
+        return
+    raise InputError(
+        f"{other.problem.recording.name}: expected a held-out recording with torques "
+        f"{'in it' if bound.regime.knows_torque else 'that are unknown'}, as {bound.problem.recording.name} "
+        f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
+    )
+
+
+def _notes(recording: Recording | Sequence[Recording], refused: Sequence[str], rules: Rules) -> dict[str, Any]:
+    """What was not looked at of the recording, and what it is refused for."""
+    notes: dict[str, Any] = {}
+    if (unused := left_out(_each(recording), rules)) is not None:
+        notes[LEFT_OUT] = unused
+    if refused:
+        words = "; ".join(refused)
+        notes[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {words}"
+    return notes
+
+
+def _by_search(run: _Run) -> Diagnosis:
+    """Search, confirm what is found, measure it on held-out rows, and describe it."""
+    run.report(1, "screen and refine")
+    start = start_of(run.said if run.robot else None, run.bound, run.passive)
+    found = searched(run.bound, run.without, run.workers, start)
+    bound, other, said = found.problem, run.other, run.said
     if (reason := too_little(bound, found)) is not None:
-        return nothing_to_say(bound.problem.recording, body, seed, passive, reason, rules)
+        return nothing_to_say(bound.problem.recording, run.body, run.seed, run.passive, reason, bound.rules)
     if other is not None:
         other = other.in_engine_steps() if bound.engine_step else other
         other = replace(other, shape=bound.shape).in_substeps(max(other.model.substeps, bound.model.substeps))
-    allowed.share = 1.0
-    report(2, "confirm")
+    run = replace(run, bound=bound, other=other)
+    weighed, shares, there = _confirmed(run, found)
+    best = weighed.best
+    if found.everywhere:
+        parts = {}  # what a regression chose, withheld folds have confirmed
+    elif len(best.effects) > 1:
+        parts = by_effect(bound, found, best, there, other, run.seed)
+        if not all_confirmed(best, parts, bound.rules):
+            weighed = in_part_only(weighed)
+    else:
+        parts = {key(effect): shares for effect in best.effects}
+    run.report(4, "describe")
+    formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime.knows_torque else None
+    follows = _followed(bound, found.pool[""], best, formula)
+    rows = "the last third of the rows" if other is None else "another recording"
+    rows += ", in which the best cause leaves something" if there.leaves else ""
+    complete = weighed.causes[best.key][1] > 0.5
+    closing = None if said is None else measured(said, run.body, run.passive, there.cause, complete)
+    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, run.seed, rows)
+    result = replace(result, regression=said, closing=closing)
+    if run.robot and said is not None and closing is not None and closing.shown == REGRESSION:
+        result = replace(result, regressed=regression_cause(said, bound, run.passive))
+    return result
+
+
+def _confirmed(run: _Run, found: HypothesisPool) -> tuple[Weighed, Closed, Unseen]:
+    """Probabilities of causes, the share of the gap that the best closes on held-out rows, and its fit there."""
+    bound, other = run.bound, run.other
+    bound.budget.share = 1.0
+    run.report(2, "confirm")
     none, time = found.pool[""], (other or bound).model.time.numpy()
 
     def tested(cause: FittedHypothesis) -> tuple[Closed, Unseen]:
         there = unseen(bound, none, cause, other)
-        return closed(*there.scores, there.rows, time, seed, rules=rules), there
+        return closed(*there.scores, there.rows, time, run.seed, rules=bound.rules), there
 
     likely = found.best
     # What is likely may fail there, and not be the best.
-    both: list[Callable[[], Any]] = [partial(weigh, bound, found, seed), partial(attempt, tested, likely)]
-    weighed, known = side_by_side(both, workers, allowed)
-    report(3, "held out")
+    both: list[Callable[[], Any]] = [partial(weigh, bound, found, run.seed), partial(attempt, tested, likely)]
+    weighed, known = side_by_side(both, run.workers, bound.budget)
+    run.report(3, "held out")
     shares, there = tested(weighed.best) if known is None or weighed.best is not likely else known
-    there = replace(there, problem=replace(there.problem, budget=allowed))  # not a copy that came from another process
-    left = there.leaves
-    if left:
+    there = replace(there, problem=replace(there.problem, budget=bound.budget))  # not a copy of another process
+    if there.leaves:
         weighed = in_part_only(weighed)
     worse = shares.per_frame["corrected"] < shares.per_frame["nominal"]
     unsure = worse or (shares.interval is not None and shares.interval[0] <= 0)
@@ -242,27 +331,7 @@ def diagnose(
         # Evidence there depends on the torque's prior, which no limb obeys: a cause must predict better beyond doubt.
         weighed = only(bound, found, none, weighed.log_evidence)
         shares, there = tested(none)
-    best = weighed.best
-    if found.everywhere:
-        parts = {}  # what a regression chose, withheld folds have confirmed
-    elif len(best.effects) > 1:
-        parts = by_effect(bound, found, best, there, other, seed)
-        if not all_confirmed(best, parts, rules):
-            weighed = in_part_only(weighed)
-    else:
-        parts = {key(effect): shares for effect in best.effects}
-    report(4, "describe")
-    formula = describe(bound, best, best.path) if weighed.outside > 0.2 and bound.regime.knows_torque else None
-    follows = _followed(bound, none, best, formula)
-    rows = "the last third of the rows" if other is None else "another recording"
-    rows += ", in which the best cause leaves something" if left else ""
-    complete = weighed.causes[best.key][1] > 0.5
-    closing = None if said is None else measured(said, body, passive, there.cause, complete)
-    result = assembled(bound, found, weighed, shares, there.fresh, parts, formula, follows, seed, rows)
-    result = replace(result, regression=said, closing=closing)
-    if robot and said is not None and closing is not None and closing.shown == REGRESSION:
-        result = replace(result, regressed=regression_cause(said, bound, passive))
-    return ended(result)
+    return weighed, shares, there
 
 
 def _each(recording: Recording | Sequence[Recording]) -> Sequence[Recording]:
