@@ -46,7 +46,7 @@ def infer(
     Args:
         recording: keypoints, encoders, or both; of several cameras (:class:`.cameras.Filmed`) their pixels.
         body: in the recording's length unit; its priors and uncertainties are integrated out, its
-            learned scalars learned ("differentiate" takes nominal values).
+            learned scalars learned. "differentiate" takes nominal values, "particle-gibbs" the most probable ones.
         method: a key of ``METHODS``.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result.

@@ -27,21 +27,29 @@ from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.fitting.marginal_likelihood import Fit, fit
-from invdyn.inference.fitting.parameter_draws import Candidate, ParameterSet, parameter_draws, sets_needed
-from invdyn.inference.marginalise import NUM_SETS, over_bodies
+from invdyn.inference.fitting.parameter_draws import (
+    Candidate,
+    ParameterSet,
+    given_the_rest,
+    parameter_draws,
+    sets_needed,
+)
 from invdyn.inference.methods.over_sets import BATCHED, over_sets
-from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, RESUMED, WITHOUT_EVIDENCE, timed
+from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, OF_ARMS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess, default_torques
 from invdyn.models.articulated.applied_force import AppliedForce
+from invdyn.models.bodies.scalars import in_normal_units
 from invdyn.models.divergence import Diverged
 from invdyn.recordings import InputError, Recording, Truth
 
 MIXED = frozenset({"bootstrap", *BATCHED})
 """Methods that have draws of several torque processes and their parameters; others have the most probable ones."""
+NUM_SETS = 16
+"""Sets that particle filters take at most: each takes a guide of its own, a Gaussian smoother little."""
 SETS = 5_505_505
 """Place of the random numbers of process and parameters (:func:`.seeds.derived`)."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
@@ -74,6 +82,10 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
     learned = dict(body.learned)
     if learn_lengths and body.is_chain:  # a tree says itself which of its lengths are learned
         learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
+    wanted += [
+        Free(f"body.{quantity}", sd=sd, entries=entries, unit=unit)
+        for quantity, sd, unit, entries in _known_in_part(body)
+    ]
     wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
     if (pixels := problem.model.observation.pixels) is not None:
         # The first camera is where it is, and its clock is right: all others' are relative to it.
@@ -83,6 +95,21 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
         # Three numbers a camera say little of their size.
         wanted += [Free("camera.turn_scale", tied=True, sd=0.5)]
     return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
+
+
+def _of_priors(body: ArticulatedBody) -> Callable[[Free], bool]:
+    """Whether a parameter is one of the body's numbers that have priors."""
+    own = {(f"body.{quantity}", entry) for quantity, entries in body.priors.items() for entry in entries}
+    return lambda free: bool(free.entries) and {(free.name, entry) for entry in free.entries or ()} <= own
+
+
+def _known_in_part(body: ArticulatedBody) -> list[tuple[str, float, float | None, tuple[int, ...]]]:
+    """The body's numbers that have priors: quantity, sd and unit as of :class:`Free`, and entries that these are of."""
+    alike: dict[tuple[str, float, float | None], list[int]] = {}
+    for quantity, own in body.priors.items():
+        for entry, each in own.items():
+            alike.setdefault((quantity, *in_normal_units(each)[1:]), []).append(entry)
+    return [(*which, tuple(entries)) for which, entries in alike.items()]
 
 
 @dataclass(frozen=True)
@@ -98,7 +125,8 @@ class Task:
         checkpoint: of this run, or None.
         unfitted: the problem with the parameters that the fit began at, the centre of their prior.
         free: parameters that were fitted.
-        candidates: torque processes with their fits, where there are several: the prior is their mixture.
+        candidates: torque processes with their fits.
+        mixed: whether the prior is the candidates' mixture.
     """
 
     problem: Problem
@@ -110,6 +138,7 @@ class Task:
     unfitted: Problem | None = None
     free: tuple[Free, ...] = ()
     candidates: tuple[Candidate, ...] = ()
+    mixed: bool = False
 
     def run(
         self,
@@ -133,21 +162,25 @@ class Task:
         places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
         places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}
         problem, record = self.problem, self.record
-        if learn and self.candidates and method in MIXED and self._draws_keep_fit():
-            run, sets = self._over_sets(method)
+        if method in OF_ARMS and self.unfitted is not None:  # what is filtered and differentiated is a nominal body's
+            nominal = self.unfitted.model.parameters
+            there = {f"body.{name}": nominal[f"body.{name}"] for name in problem.model.body.priors}
+            problem = replace(problem, model=problem.model.replace(**there))
+        mixed, of_body = learn and self.mixed and method in MIXED, _of_priors(problem.model.body)
+        uncertain = any(map(of_body, self.free))
+        if method == "nuts" and uncertain:
+            raise InputError(
+                "nuts takes the body as known, and this one is uncertain: drop its priors and [uncertainty], or use smc"
+            )
+        uncertain = uncertain and method not in WITHOUT_EVIDENCE
+        if mixed or uncertain:
+            chosen = max(self.candidates, key=lambda each: each.fit.log_marginal)
+            run, sets = self._over_sets(method, self.candidates if mixed else [given_the_rest(chosen, of_body)])
+            places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-sets")}
+        if mixed:
             names = [type(each.model.torque).__name__ for each in sets]
             record = {**record, "torque_sets": {name: names.count(name) for name in dict.fromkeys(names)}}
-            places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-sets")}
-        elif self.problem.model.body.has_priors:
-            if method == "nuts":
-                raise InputError(
-                    "nuts takes the body as known, and this one is uncertain: drop its priors and [uncertainty], "
-                    "or use smc"
-                )
-            if method not in WITHOUT_EVIDENCE:
-                run = timed(partial(over_bodies, partial(_by_name, method)))
-                places = {"executor": executor, "checkpoint": inside(self.checkpoint, f"{method}-bodies")}
-        elif method == "vsmc" and learn and self.free and self.unfitted is not None:
+        elif method == "vsmc" and learn and not uncertain and self.free and self.unfitted is not None:
             problem, places = self.unfitted, {**places, "free": self.free}
         return run(
             problem,
@@ -159,25 +192,19 @@ class Task:
             **places,
         )
 
-    def _draws_keep_fit(self) -> bool:
-        """Whether bodies that are drawn have what was learned of them (:func:`.as_fitted`); without, sets have none."""
-        body = self.problem.model.body
-        own = any(each.name.startswith("body.") for each in self.free)
-        return body.is_chain or not (own and body.has_priors)
-
-    def _over_sets(self, method: str) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
+    def _over_sets(
+        self, method: str, candidates: Sequence[Candidate]
+    ) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
         """The method over sets of process and parameters, and these sets."""
+        joints, options = self.problem.model.body.num_joints, self.options
+        count = min(options.num_filters if method == "laplace" else NUM_SETS, options.num_filters)
+        if not any(map(_of_priors(self.problem.model.body), self.free)):  # a body's numbers are shown as draws, too
+            # Torques come first, angles and velocities last.
+            shown = [*range(joints), *range(-2 * joints, 0)]
+            count = min(count, sets_needed(candidates, shown, options.num_filters * options.num_draws))
         with seeded(derived(self.seed, SETS)):
-            count = min(NUM_SETS, self.options.num_filters)
-            if not self.problem.model.body.has_priors:  # a body is drawn for each set
-                joints = self.problem.model.body.num_joints
-                # Torques come first, angles and velocities last.
-                shown = [*range(joints), *range(-2 * joints, 0)]
-                draws = self.options.num_filters * self.options.num_draws
-                count = min(count, sets_needed(self.candidates, shown, draws))
-            sets = parameter_draws(self.candidates, self.problem.observations, count)
-        one_by_one = partial(over_bodies, partial(_by_name, method), sets=sets)
-        model = self.problem.model
+            sets = parameter_draws(candidates, self.problem.observations, count)
+        one_by_one, model = partial(over_sets, method, sets=sets, together=False), self.problem.model
         if method not in BATCHED or model.nonsmooth:
             return timed(one_by_one), sets
         if method == "laplace":
@@ -188,27 +215,23 @@ class Task:
         def in_a_batch(problem: Problem, checkpoint: Checkpoint | None, **options: Any) -> az.InferenceData:
             with suppress(SMCFailed, Diverged):
                 found = over_sets(method, problem, sets, checkpoint=checkpoint, **options)
-                if self._confirms(torch.as_tensor(found["sample_stats"]["log_evidence"].to_numpy())):
+                evidences = torch.as_tensor(found["sample_stats"]["log_evidence"].to_numpy())
+                if self._confirms(candidates, evidences):
                     return found
             return one_by_one(problem, checkpoint=inside(checkpoint, "alone"), **options)
 
         return timed(in_a_batch), sets
 
-    def _confirms(self, log_evidence: Tensor) -> bool:
+    def _confirms(self, candidates: Sequence[Candidate], log_evidence: Tensor) -> bool:
         """Whether filters over sets, with log-evidences (M,) of the mixture, agree, and a bootstrap pilot is no higher.
 
         The pilot is of the fit: the mixture's evidence is less, by what its parameters and processes cost.
         """
-        marginal = torch.tensor([float(each.fit.log_marginal) for each in self.candidates]).double()
-        best = self.candidates[int(marginal.argmax())].fit.log_evidence
+        marginal = torch.tensor([float(each.fit.log_marginal) for each in candidates]).double()
+        best = candidates[int(marginal.argmax())].fit.log_evidence
         cost = best - float(marginal.logsumexp(0)) + math.log(len(marginal))
         ahead = evidence(log_evidence + cost, "controlled")
         return guides_agree(self.problem.model, self.problem.observations, self.options, self.seed, ahead)
-
-
-def _by_name(method: str, problem: Problem, **options: Any) -> az.InferenceData:
-    """A method as workers can be sent it."""
-    return METHODS[method](problem, **options)
 
 
 def prepare(
@@ -282,8 +305,8 @@ def prepare(
     candidates = [
         Candidate(at_start(each, own), own, found) for each, own, found in zip(problems, frees, fits, strict=True)
     ]
-    mixed = tuple(candidates) if isinstance(torque, Sequence) else ()
-    return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), mixed)
+    mixed = isinstance(torque, Sequence)
+    return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), tuple(candidates), mixed)
 
 
 def _fitted(
@@ -353,9 +376,16 @@ def _like(model: ArmModel, first: ArmModel, fit: Fit[ArmModel]) -> dict[str, Any
 def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
     """The model at the parameters that a fit begins at."""
     model = problem.model
-    if DROP in {f.name for f in free}:  # a logarithm is fitted, and 0 has none
+    names = {f.name for f in free}
+    if DROP in names:  # a logarithm is fitted, and 0 has none
         model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
-    return model
+    middles = {}
+    for quantity, own in model.body.priors.items():
+        if (name := f"body.{quantity}") in names:
+            middles[name] = model.parameters[name].clone()
+            for entry, each in own.items():
+                middles[name].view(-1)[entry] = in_normal_units(each)[0]
+    return model.replace(**middles)
 
 
 PARAMETER = "parameter "

@@ -22,7 +22,7 @@ class Free:
 
     ``sd`` is the prior's standard deviation of log(θ/θ_start); ``entries`` the flat indices that are
     free, all of them by default. One that may be negative has a ``unit`` instead, in its own measure: it is
-    θ_start + unit φ, and φ has the prior.
+    θ_start + unit φ, and φ has the prior. Entries of one parameter may have several of these.
     """
 
     name: str
@@ -79,7 +79,7 @@ class LogParameters(Generic[M]):
 
     def at(self, phi: Tensor) -> M:
         """The model at φ (P,), or at a batch of them (B, P) with parameters (B, 1, own shape); differentiable."""
-        values = {}
+        values: dict[str, Tensor] = {}
         for f, index in zip(self.free, self.slices, strict=True):
             start = self.model.parameters[f.name]
             own = phi[..., index].to(start)
@@ -90,5 +90,6 @@ class LogParameters(Generic[M]):
             if phi.ndim == 2:
                 change = change.unsqueeze(-2)
             change = change.reshape(*change.shape[:-1], *start.shape)
-            values[f.name] = start * change.exp() if f.unit is None else start + f.unit * change
+            there = values.get(f.name, start)
+            values[f.name] = there * change.exp() if f.unit is None else there + f.unit * change
         return self.model.replace(**values)

@@ -11,6 +11,10 @@ leaves sets that weigh the same. A method that estimates p̂(y | φ, c) weighs a
 log Ẑ − log p(y | φ, c): an importance sampler over models, parameters and paths, whose evidence is that of the mixture,
 however near p is to p̂.
 
+A body's numbers that have priors are parameters like any others, so that a recording that tells them a hundred times
+better than their priors do has bodies from where they may be. Where only some of a fit's parameters are drawn, the
+others stand at what was fitted (:func:`given_the_rest`).
+
 A point fit takes a torque's size and length scale for known, and its bands are too narrow. How many sets it takes
 follows from what a state's variance is off by one set, a share s (:attr:`.Fit.scatter` is s², and to it comes what
 other models may have made, of probability p, p (1 − p)). Of S sets it is s/√S, and of R draws √(2/R): the first is at
@@ -24,13 +28,13 @@ Shapes: P parameters, T rows, D states.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Generic
 
 import numpy as np
 import torch
-from pyro.distributions import MultivariateStudentT, Normal
+from pyro.distributions import MultivariateNormal, MultivariateStudentT, Normal
 from torch import Tensor
 
 from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
@@ -45,11 +49,16 @@ PROPOSALS, MIN_PROPOSALS = 3, 48
 
 @dataclass(frozen=True)
 class Candidate(Generic[M]):
-    """A model with the parameters that its fit began at, which of them are free, and the fit."""
+    """A model with the parameters that its fit began at, which of them are free, and the fit.
+
+    Attributes:
+        of_more_rows: whether the fit is of other rows as well: draws are then those of its Laplace posterior.
+    """
 
     model: M
     free: Sequence[Free]
     fit: Fit[M]
+    of_more_rows: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,6 +83,21 @@ def probabilities(candidates: Sequence[Candidate]) -> np.ndarray:
     evidence = np.array([float(each.fit.log_marginal) for each in candidates])
     share = np.exp(evidence - evidence.max())
     return share / share.sum()
+
+
+def given_the_rest(candidate: Candidate[M], wanted: Callable[[Free], bool]) -> Candidate[M]:
+    """The candidate where only ``wanted`` parameters are free, given that all others are as fitted."""
+    parameters = _parameters(candidate)
+    kept = [f for f in parameters.free if wanted(f)]
+    places = [k for f, own in zip(parameters.free, parameters.slices, strict=True) if wanted(f) for k in own]
+    others = candidate.fit.phi.copy()
+    others[places] = 0.0
+    phi, sd = candidate.fit.phi[places], parameters.sd[places]
+    covariance = np.linalg.inv(np.linalg.inv(candidate.fit.covariance)[np.ix_(places, places)])
+    volume = 0.5 * np.linalg.slogdet(covariance)[1] - np.log(sd).sum()
+    marginal = candidate.fit.log_evidence - 0.5 * ((phi / sd) ** 2).sum() + volume
+    found = replace(candidate.fit, phi=phi, covariance=covariance, log_marginal=marginal)
+    return replace(candidate, model=parameters.at(torch.as_tensor(others)), free=kept, fit=found)
 
 
 def sets_needed(candidates: Sequence[Candidate], states: Sequence[int], draws: int) -> int:
@@ -136,6 +160,8 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     parameters = _parameters(candidate)
     prior = Normal(0.0, torch.as_tensor(parameters.sd)).to_event(1)
     root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
+    if candidate.of_more_rows:
+        prior = MultivariateNormal(centre, scale_tril=root)
     proposal = MultivariateStudentT(torch.tensor(DF, dtype=torch.float64), centre, root)
     phi = proposal.sample((size,))
     objective = Objective(parameters.model, observations, candidate.free, found.path)
@@ -147,7 +173,8 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     log_evidence = torch.as_tensor(evidence).nan_to_num(-torch.inf, neginf=-torch.inf, posinf=-torch.inf)
     if not bool(torch.isfinite(log_evidence).any()):
         return fitted
-    return log_evidence + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
+    told = torch.full_like(log_evidence, found.log_evidence) if candidate.of_more_rows else log_evidence
+    return told + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
 
 
 def _parameters(candidate: Candidate[M]) -> LogParameters[M]:

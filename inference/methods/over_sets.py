@@ -1,18 +1,25 @@
-"""Parameter sets of one model, all in one batch: each filter, or Gaussian smoother, has a set of its own.
+"""Parameter sets of one model, of its body's numbers too: each filter, or Gaussian smoother, has a set of its own.
 
 The sets (:mod:`.fitting.parameter_draws`) differ in their parameters alone, and so do their Gaussian smoothers and the
 guides made of these (:class:`.affine.Corrected`, without a correction). A batch of filters with a set each takes hardly
 longer than one with the same for all: what a row costs is its number of operations. By "laplace" draws of a set are of
 its smoother; by "smc" they are ancestral lines, which meet seldom under a guide that looks ahead.
 
-A set whose smoother has no finite evidence, and models with kinks, go one by one (:func:`.marginalise.over_bodies`).
+Each of S sets θ_s gets M/S of the filters. The outer weights
+
+    W_m ∝ Ẑ_m(θ_{s(m)}),
+
+with the set's offset in Ẑ_m, are importance weights of the pair (θ_s, trajectory), so that pooled draws integrate the
+parameters out, and the mean of the Ẑ_m is the evidence with θ integrated out. All of them are a batch, or a method runs
+on one at a time: any method, models with kinks, and sets whose smoother has no finite evidence.
 
 Shapes: S sets, M filters in all, R draws of each, observations (T, O), paths (M, R, T, D).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from typing import Any
 
@@ -31,7 +38,7 @@ from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fitting.parameter_draws import ParameterSet
-from invdyn.inference.marginalise import body_draws
+from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.posterior.posterior import combine, stored_dtype, to_inference_data
@@ -59,25 +66,27 @@ def over_sets(
     progress: Progress | None = None,
     executor: Executor | None = None,
     checkpoint: Checkpoint | None = None,
+    together: bool = True,
 ) -> az.InferenceData:
-    """The posterior over ``sets`` of one or more models by a ``method`` of :data:`BATCHED`; a body is drawn for each.
+    """The posterior over ``sets`` of one or more models, at most one a filter, by a ``method``.
 
-    Arguments and result as those of :func:`.marginalise.over_bodies`; ``start`` does not count. A task has sets of
-    one model, with as many filters as a task may have.
+    ``together`` it is one of :data:`BATCHED`, and a task has sets of one model, with as many filters as a task may
+    have; else a task is a set. Other arguments are those of :func:`.smc.smc`, of which ``start`` does not count. The
+    result's posterior also holds each draw's length, mass, com and inertia, where they differ.
     """
     counts = [len(part) for part in torch.arange(options.num_filters).tensor_split(len(sets))]
-    bodies = body_draws([replace(problem, model=each.model) for each in sets], seed)
-    most = max(1, min(options.at_once // max(counts), ROWS_AT_ONCE // len(problem.observations)))
+    most = max(1, min(options.at_once // max(counts), ROWS_AT_ONCE // len(problem.observations))) if together else 1
+    run = run_sets if together else run_set
     tasks = []
     for _, own in groupby(range(len(sets)), key=lambda k: sets[k].candidate):
         numbers = list(own)
         tasks += [numbers[first : first + most] for first in range(0, len(numbers), most)]
     found: list[Any] = distribute(
-        run_sets if checkpoint is None else run_sets_to_keep,
+        run if checkpoint is None else partial(kept_as_tensors, run),
         [
             (
                 method,
-                [bodies[k] for k in numbers],
+                [replace(problem, model=sets[k].model) for k in numbers],
                 torch.stack([sets[k].path for k in numbers]),
                 [counts[k] for k in numbers],
                 [sets[k].offset for k in numbers],
@@ -139,9 +148,29 @@ def run_sets(
     return found
 
 
-def run_sets_to_keep(*arguments: Any, progress: Report | None = None) -> dict[str, Tensor]:
-    """The same as tensors, for a checkpoint."""
-    found = run_sets(*arguments)
+def run_set(
+    method: str,
+    problems: Sequence[Problem],
+    starts: Tensor,
+    counts: Sequence[int],
+    offsets: Sequence[float],
+    options: SMCOptions,
+    seed: int,
+    settings: dict | None,
+    progress: Report | None = None,
+) -> Any:
+    """The same of one problem by any method."""
+    few = replace(options, num_filters=counts[0], refits=min(options.refits, 1))
+    found = METHODS[method](problems[0], options=few, start=starts[0], seed=seed, settings=settings)
+    found["sample_stats"]["log_evidence"] = found["sample_stats"]["log_evidence"] + offsets[0]
+    if progress is not None:
+        progress(1, 1)
+    return [found]
+
+
+def kept_as_tensors(run: Callable[..., Any], *arguments: Any, progress: Report | None = None) -> dict[str, Tensor]:
+    """The same as tensors, for a checkpoint: a netCDF file in bytes takes longer to write than to compute."""
+    found = run(*arguments)
     if progress is not None:
         progress(1, 1)
     return {f"{k}.{name}": value for k, each in enumerate(found) for name, value in packed(each).items()}

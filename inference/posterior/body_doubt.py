@@ -14,9 +14,9 @@ is cut off from it and stays its prior (M. Plummer, "Cuts in Bayesian graphical 
 whose last terms are what joints have besides the body: friction, cables, the zero of a sensor. They may have either
 sign, so that the mean stays the net torque. τ(φ) is linear in m, m c and the moments about the joint (C. Atkeson, C. An
 and J. Hollerbach, "Estimation of inertial parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as
-long as the recording. Bodies whose file states an uncertainty are integrated out by
-:mod:`invdyn.inference.marginalise` instead, as is right where φ has a part in the motion: commands that are known, or
-lengths before keypoints.
+long as the recording. Bodies whose file states an uncertainty are integrated out as any parameters are instead
+(:mod:`.parameter_draws`), as is right where φ has a part in the motion: commands that are known, or lengths before
+keypoints.
 
     m ~ LogNormal of relative sd `MASS`              c ~ N(c̄, (`CENTRE` s)²) along each axis, s a link's size
     moments all times LogNormal of sd `MOMENT`       g rotated by N(0, `LEVEL`²) about each level axis

@@ -1,13 +1,8 @@
-"""Lengths of links from what was recorded: the median distance between neighbouring joints, where learning begins.
-
-And what a fit has made of them.
-"""
+"""Lengths of links from what was recorded: the median distance between neighbouring joints, where learning begins."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from pyro.distributions import Distribution
 
 from invdyn.models import ArticulatedBody, Body, Learned
 from invdyn.models.bodies.scalars import nominal
@@ -45,19 +40,3 @@ def _median_distance(start: np.ndarray, end: np.ndarray) -> float | None:
     distance = np.linalg.norm(end - start, axis=-1)
     seen = np.isfinite(distance)
     return float(np.median(distance[seen])) if seen.any() else None
-
-
-def as_fitted(problem: Any) -> Any:
-    """The body of an arm's problem with numbers that are no priors as its model has them, so that draws keep these.
-
-    Of a tree learned numbers begin where they are stated.
-    """
-    body = problem.model.body
-    if not (isinstance(body, Body) and body.is_chain):
-        return body
-    links = list(body.links)
-    for quantity, place, scalar in body.scalars():
-        if scalar is not None and not isinstance(scalar, Distribution):
-            value = problem.model.parameters[f"body.{quantity}"][place].item()
-            links[place] = replace(links[place], **{quantity: value})
-    return replace(body, links=links)

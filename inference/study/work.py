@@ -25,7 +25,9 @@ from torch import Tensor
 from invdyn.inference.execution.checkpoint import part_of
 from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.fitting.log_parameters import Free, LogParameters
+from invdyn.inference.fitting.marginal_likelihood import Fit
 from invdyn.inference.fitting.objective import Objective
+from invdyn.inference.fitting.parameter_draws import Candidate
 from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
@@ -55,19 +57,20 @@ def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
         if reasons := unexplained(replace(problem, model=found.model), found.path):
             return _left_out(reasons[0])
         values = {f"{VALUE}{f.name}": found.model.parameters[f.name] for f in free}
-        return {**values, "path": found.path, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
+        values |= {"path": found.path, "covariance": torch.as_tensor(found.covariance)}
+        return {**values, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
 
     return _guarded(work)
 
 
 def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
-    """Parameters by the summed evidence ("value <name>"), the sd of their φ ("sd"), "log_evidence" (N,)."""
+    """Parameters by the summed evidence ("value <name>"), "covariance" (P, P) of their φ, "log_evidence" (N,)."""
 
     def work() -> Tensors:
         problems, frees = zip(*(bound(trial, how) for trial in trials), strict=True)
         free = frees[0]
         if not free or len(trials) == 1:
-            own = {name: value for name, value in fits[0].items() if name.startswith(VALUE)}
+            own = {name: value for name, value in fits[0].items() if name.startswith(VALUE) or name == "covariance"}
             return {**own, **words(notes=[])}
         models = at_common_start([at_start(each, free) for each in problems], free)
         parameters = LogParameters(models[0].to(dtype=torch.float64), free)
@@ -84,9 +87,14 @@ def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *,
                 raise
             found = _fitted(finite, free, phi)
         shared = {f"{VALUE}{f.name}": found.models[0].parameters[f.name] for f in free}
-        sd = torch.as_tensor(np.sqrt(np.diagonal(found.covariance)))
+        covariance = torch.as_tensor(found.covariance)
         notes = [] if found.converged else [f"{NOT_SETTLED} that the session shares"]
-        return {**shared, "sd": sd, "log_evidence": torch.as_tensor(found.log_evidence), **words(notes=notes)}
+        return {
+            **shared,
+            "covariance": covariance,
+            "log_evidence": torch.as_tensor(found.log_evidence),
+            **words(notes=notes),
+        }
 
     return _guarded(work)
 
@@ -112,12 +120,17 @@ def infer_trial(
     def work() -> Tensors:
         problem, free = bound(trial, how)
         values = {f.name: shared[f"{VALUE}{f.name}"] for f in free}
-        fitted = replace(problem, model=at_start(problem, free).to(dtype=torch.float64).replace(**values))
-        path = gauss_newton(fitted.model, problem.observations.double(), start=fit["path"]).path
+        start = at_start(problem, free).to(dtype=torch.float64)
+        fitted = replace(problem, model=start.replace(**values))
+        mode = gauss_newton(fitted.model, problem.observations.double(), start=fit["path"])
+        path, evidence = mode.path, mode.log_evidence.item()
         if reasons := unexplained(fitted, path):
             return _left_out(f"at its session's parameters {reasons[0]}")
         record = {"fitted": {name: value.tolist() for name, value in values.items()}}
-        task = Task(fitted, path, how.sizes, seed, record, None, problem, tuple(free))
+        phi = LogParameters(start, free).of(values)
+        own = Fit(fitted.model, evidence, path, {}, True, phi, shared["covariance"].numpy(), evidence)
+        candidate = Candidate(start, free, own, of_more_rows="log_evidence" in shared)
+        task = Task(fitted, path, how.sizes, seed, record, None, problem, tuple(free), (candidate,))
         idata = task.run(how.method)
         if note := evidence_note(idata):
             return _left_out(f"the evidence of {how.method} is {note}")

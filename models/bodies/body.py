@@ -284,9 +284,13 @@ class Body(FromFiles):
 
     # -- what is not known exactly -----------------------------------------------------------------
     @property
-    def has_priors(self) -> bool:
-        """Whether any scalar is a prior rather than a number."""
-        return any(isinstance(scalar, dist.Distribution) for _, _, scalar in self.scalars())
+    def priors(self) -> dict[str, dict[int, dist.Distribution]]:
+        """Priors by number and flat index; in a tree that of a stick's length is its tip's x in the sites."""
+        found: dict[str, dict[int, dist.Distribution]] = {}
+        for key, index, scalar in self.scalars():
+            if isinstance(scalar, dist.Distribution):
+                found.setdefault(key, {})[index] = scalar
+        return found
 
     @property
     def learned(self) -> dict[str, tuple[int, ...]]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import torch
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.models.bodies.joint_parts import JointParts
@@ -84,9 +85,14 @@ class ArticulatedBody:
         return (link,)
 
     @property
+    def priors(self) -> Mapping[str, Mapping[int, Distribution]]:
+        """Those of its numbers that have one, by the number's name and the entry's flat index."""
+        return {}
+
+    @property
     def has_priors(self) -> bool:
-        """Whether any number is a prior."""
-        return False
+        """Whether any number has a prior."""
+        return bool(self.priors)
 
     @property
     def learned(self) -> Mapping[str, tuple[int, ...]]:

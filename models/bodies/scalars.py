@@ -62,6 +62,18 @@ def prior(mean: float, sd: float) -> dist.Distribution:
     return dist.LogNormal(middle.log() - variance / 2, variance.sqrt())
 
 
+def in_normal_units(distribution: dist.Distribution) -> tuple[float, float, float | None]:
+    """Of a prior as θ₀ exp(s z), or θ₀ + u z where θ may be negative, z ~ N(0, s²): θ₀, s and u, which is then s = 1.
+
+    One that is neither log-normal nor normal counts as that of its mean and sd.
+    """
+    if isinstance(distribution, dist.LogNormal):
+        return math.exp(float(distribution.loc)), float(distribution.scale), None
+    if isinstance(distribution, dist.Normal):
+        return float(distribution.loc), 1.0, float(distribution.scale)
+    return in_normal_units(prior(float(distribution.mean), float(distribution.stddev)))
+
+
 def checked(value: Scalar, quantity: str, where: str) -> Scalar:
     """Return a scalar of a link, numbers as float. Raises `BodyError`, which begins with `where`."""
     what = f"{where}: {quantity} in {UNITS[quantity]}"

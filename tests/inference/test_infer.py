@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from invdyn.inference import METHODS, SMCOptions, arm_problem, free_parameters, infer, pooled, prepare
-from invdyn.inference.marginalise import body_draws
+from invdyn.inference.fitting.parameter_draws import given_the_rest, parameter_draws
 from invdyn.models import ArmModel, Learned, Link, Matern32, planar_body
 from invdyn.models.bodies.scalars import prior
 from invdyn.recordings import InputError, Recording, Truth
@@ -260,14 +260,21 @@ def test_what_is_to_be_fitted():
 def test_draws_of_an_uncertain_body_keep_what_was_fitted_or_given(learn_lengths):
     recording, _ = record(TIME)
     uncertain = body(mass=(prior(1.5, 0.1), Learned(1.0)))
-    length, mass = torch.tensor([[0.31, 0.26], [1.5, 0.9]], dtype=torch.float64)
-    given = {} if learn_lengths else {"body.length": length}
-    problem = arm_problem(recording, uncertain, learn_lengths=learn_lengths, parameters=given)
-    problem = replace(problem, model=problem.model.replace(**{"body.length": length, "body.mass": mass}))
-    numbers = [each.model.body_parameters() for each in body_draws([problem] * 3, seed=0)]
-    assert all(torch.equal(each.length, length) for each in numbers)
-    assert [each.mass[1].item() for each in numbers] == pytest.approx([0.9] * 3)
-    assert len({each.mass[0].item() for each in numbers}) == 3
+    length = torch.tensor([0.34, 0.31], dtype=torch.float64)
+    settings = KNOWN if learn_lengths else {**KNOWN, "body.length": length}
+    task = prepare(
+        recording, uncertain, options=SMCOptions(3, 2, 2), seed=0, learn_lengths=learn_lengths, settings=settings
+    )
+    fitted = task.problem.model.body_parameters()
+    assert torch.equal(fitted.length, length) != learn_lengths
+    own = given_the_rest(task.candidates[0], lambda free: free.entries == (0,) and free.name == "body.mass")
+    numbers = [each.model.body_parameters() for each in parameter_draws([own], task.problem.observations, 3)]
+    for each in numbers:
+        torch.testing.assert_close(each.length, fitted.length)
+        torch.testing.assert_close(each.mass[1], fitted.mass[1])
+    masses = torch.stack([each.mass[0] for each in numbers])
+    assert len(masses.unique()) == 3
+    assert bool(((masses / 1.5).log().abs() < 4 * 0.1 / 1.5).all())
 
 
 def test_confidence_becomes_a_covariate_unless_it_says_nothing():

@@ -304,7 +304,7 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch, body):
     whole = infer(SWING, body, seed=4, **sizes)
 
     def interrupt(done, total, what):
-        if what in ("filter and smooth", "bodies") and done >= total / 2:
+        if what in ("filter and smooth", "parameter sets") and done >= total / 2:
             raise Interrupted
 
     with pytest.raises(Interrupted):

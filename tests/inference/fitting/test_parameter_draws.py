@@ -1,5 +1,7 @@
 """Draws of a model and its parameters against quadrature over exact Gaussian evidences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,13 @@ from pyro.distributions import Normal
 from scipy.stats import multivariate_normal, norm
 
 from invdyn.inference import Free, fit
-from invdyn.inference.fitting.parameter_draws import Candidate, parameter_draws, probabilities, sets_needed
+from invdyn.inference.fitting.parameter_draws import (
+    Candidate,
+    given_the_rest,
+    parameter_draws,
+    probabilities,
+    sets_needed,
+)
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.models import StateSpaceModel
 
@@ -88,6 +96,35 @@ def test_models_and_parameters_are_in_proportion(rows, candidates):
     assert phi.mean() == pytest.approx(mean, abs=4 * sd / np.sqrt(len(phi)))
     assert phi.std() == pytest.approx(sd, rel=0.2)
     assert {each.model.parameters["noise"].item() for each in first} == {NOISES[0]}
+
+
+def test_some_parameters_are_drawn_given_the_others(rows):
+    """Their Gaussian is that of the fit, cut at what was fitted of the others."""
+    free = [Free("noise", sd=WIDE), Free("step", sd=WIDE)]
+    both = Candidate(Walk(0.3), free, fit(Walk(0.3), rows, free))
+    one = given_the_rest(both, lambda each: each.name == "step")
+    assert one.model.parameters["noise"].item() == pytest.approx(both.fit.model.parameters["noise"].item())
+    assert one.model.parameters["step"].item() == START
+    (cc, cs), (_, ss) = both.fit.covariance
+    np.testing.assert_allclose(one.fit.covariance, [[ss - cs**2 / cc]])
+    torch.manual_seed(0)
+    sets = parameter_draws([one], rows, 100)
+    phi = np.log([each.model.parameters["step"].item() / START for each in sets])
+    _, mean, sd = exact(rows.squeeze(-1).numpy(), one.model.parameters["noise"].item())
+    assert phi.mean() == pytest.approx(mean, abs=0.4 * sd)
+    assert phi.std() == pytest.approx(sd, rel=0.3)
+
+
+def test_what_other_rows_told_is_not_told_again(rows, candidates):
+    """Draws are of the fit's own Gaussian, and every set weighs the same beside its own evidence of these rows."""
+    narrow = replace(candidates[0].fit, phi=np.array([0.4]), covariance=np.array([[0.01]]))
+    torch.manual_seed(0)
+    sets = parameter_draws([replace(candidates[0], fit=narrow, of_more_rows=True)], rows, 200)
+    phi = np.log([each.model.parameters["step"].item() / START for each in sets])
+    assert phi.mean() == pytest.approx(0.4, abs=3 * 0.1 / np.sqrt(200))
+    assert phi.std() == pytest.approx(0.1, rel=0.2)
+    found = [gauss_newton(each.model, rows).log_evidence.item() + each.offset for each in sets[::10]]
+    np.testing.assert_allclose(found, narrow.log_evidence, atol=0.2)
 
 
 def test_the_same_seed_draws_the_same(rows, candidates):

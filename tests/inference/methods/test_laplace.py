@@ -34,8 +34,7 @@ def test_an_uncertain_body_is_integrated_out():
     sizes = {"num_filters": 20, "num_draws": 50, "settings": KNOWN, "seed": 1}
     idata = infer(record(), arm, method="laplace", **sizes)
     assert idata["posterior"].sizes["chain"] == 20  # of 50 draws each
-    assert len(np.unique(idata["posterior"]["mass"])) == 16
-    assert len(np.unique(idata["sample_stats"]["log_evidence"])) == 16
+    assert len(np.unique(idata["posterior"]["mass"])) > 15
     fixed = infer(record(), planar_body("arm", [Link("l", **link)]), method="laplace", **sizes)
     wide, narrow = (pooled(i)["torque"].std("sample").mean().item() for i in (idata, fixed))
     assert wide > 1.1 * narrow
@@ -44,6 +43,17 @@ def test_an_uncertain_body_is_integrated_out():
     plain = infer(record(), arm, method="differentiate", settings=KNOWN)
     assert "mass" not in plain["posterior"]
     assert plain["constant_data"]["mass"].values == pytest.approx([2.0])
+
+
+def test_bodies_are_drawn_where_the_recording_has_them():
+    """A length known to a tenth, of which 15 rows of 5 mm leave a few mm: draws of its prior would all be far off."""
+    arm = planar_body("arm", [Link("l", "shoulder", "elbow", length=0.53, mass=2.0)], uncertainty={"length": 0.1})
+    idata = infer(record(), arm, method="laplace", num_filters=16, num_draws=4, settings=KNOWN, seed=1)
+    length = idata["posterior"]["length"].values.ravel()
+    assert idata.attrs["outer_ess"] > 14
+    assert length.mean() == pytest.approx(0.5, abs=3 * 0.005 / np.sqrt(15))
+    assert 0.5 < length.std() / (0.005 / np.sqrt(15)) < 2
+    assert len(np.unique(length)) > 8
 
 
 def test_draws_are_as_many_as_requested():

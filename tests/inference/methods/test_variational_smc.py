@@ -54,6 +54,12 @@ def test_log_parameters_put_every_entry_where_it_belongs():
     factor = torch.ones(3, 3, dtype=torch.float64)
     factor[0, 0], factor[1, 1] = np.exp(0.2), np.exp(0.3)
     torch.testing.assert_close(found["root"], two.parameters["root"] * factor, rtol=1e-6, atol=0)
+    apart = LogParameters(two, [Free("root", entries=(0,)), Free("root", entries=(4,), unit=0.5)])
+    own = apart.at(torch.tensor([[0.2, 0.3], [0.0, 0.0]])).parameters["root"][:, 0]
+    factor[1, 1] = 1.0
+    wanted = two.parameters["root"] * factor
+    wanted[1, 1] += 0.15
+    torch.testing.assert_close(own, torch.stack([wanted, two.parameters["root"]]), rtol=1e-6, atol=1e-9)
 
 
 def test_the_prior_is_the_same_in_whitened_coordinates():

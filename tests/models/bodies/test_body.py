@@ -14,7 +14,7 @@ from bench_arm import ARM
 
 from invdyn.models.bodies.body import Body, planar_body
 from invdyn.models.bodies.link import Link
-from invdyn.models.bodies.scalars import BodyError, Learned
+from invdyn.models.bodies.scalars import BodyError, Learned, in_normal_units, prior
 
 
 def arm(**upper):
@@ -256,3 +256,21 @@ def test_priors_that_a_link_takes():
     arm(mass=dist.Uniform(0.5, 1.0), com=dist.Normal(0.1, 0.1), inertia=dist.Gamma(2.0, 100.0))
     arm(com=0.0, inertia=0.01)
     arm(com=-0.85)  # a counterweight, at almost three lengths
+
+
+def test_priors_in_normal_units():
+    """θ₀ exp(s z) or θ₀ + u z has the prior's quantiles; a Gamma counts as a log-normal of its mean and sd."""
+    z = dist.Normal(0.0, 1.0).icdf(torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64))
+    for own in (prior(1.5, 0.3), prior(-0.2, 0.05)):
+        middle, sd, unit = in_normal_units(own)
+        mapped = middle * (sd * z).exp() if unit is None else middle + unit * sd * z
+        torch.testing.assert_close(mapped, own.icdf(dist.Normal(0.0, 1.0).cdf(z)))
+    gamma = dist.Gamma(torch.tensor(25.0), torch.tensor(10.0))
+    assert in_normal_units(gamma)[:2] == pytest.approx(in_normal_units(prior(2.5, 0.5))[:2], rel=1e-6)
+
+
+def test_priors_stand_at_their_entries():
+    body = arm(mass=prior(1.5, 0.3)).with_values(com=[prior(0.1, 0.01), 0.1])
+    assert {key: set(own) for key, own in body.priors.items()} == {"mass": {0}, "com": {0}}
+    assert body.has_priors
+    assert not arm().has_priors
