@@ -45,6 +45,7 @@ from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.mcmc.mixing import mixing
+from invdyn.inference.methods.registry import present_name
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.inference.posterior.scores import score_table
@@ -152,7 +153,7 @@ def checked_methods(
     methods: Sequence[str], known: Sequence[str], replicates: int, isolate: bool, executor: Executor | None
 ) -> tuple[str, ...]:
     """The methods, each once; raises InputError for none, one that is not ``known``, or options that do not fit."""
-    methods = tuple(dict.fromkeys(methods))
+    methods = tuple(dict.fromkeys(map(present_name, methods)))
     if unknown := [method for method in methods if method not in known] or ([] if methods else ["none"]):
         raise InputError(f"expected methods among {', '.join(known)}, got {unknown[0]}")
     if replicates < 1:

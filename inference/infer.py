@@ -9,7 +9,7 @@ import arviz as az
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
-from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.methods.registry import METHODS, present_name
 from invdyn.inference.task import prepare
 from invdyn.models import ArticulatedBody, TorqueProcess
 from invdyn.recordings import InputError, Recording, SiteForce, Truth
@@ -81,6 +81,7 @@ def infer(
             more filters than memory holds, or a checkpoint of another run.
         LostWork: workers died and could not be replaced; the message names the filters that are missing.
     """
+    method = present_name(method)
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
     options = SMCOptions(num_filters, num_particles, num_draws, device=device, filters_per_task=filters_per_task)

@@ -5,6 +5,7 @@ filter alone is its case M = 1.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -37,6 +38,14 @@ def timed(method: Method) -> Method:
         return idata
 
     return run
+
+
+def present_name(method: str) -> str:
+    """The method's name; of one that was renamed the new one, and for one version a warning says so."""
+    if method != "nested":
+        return method
+    warnings.warn("the method 'nested' is now 'smc'; the old name works in this version alone", stacklevel=3)
+    return "smc"
 
 
 METHODS: dict[str, Method] = {

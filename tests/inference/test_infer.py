@@ -363,3 +363,11 @@ def test_vsmc_learns_what_the_others_fit():
     assert learned["length"].values.std() > 0
     fixed = task.run("vsmc")["posterior"]
     assert not names & set(fixed)
+
+
+def test_the_old_name_of_a_method_has_the_same_answer_and_warns(known):
+    recording, truth, new = known
+    with pytest.warns(UserWarning, match="'nested' is now 'smc'"):
+        old = infer(recording, body(), settings=KNOWN, truth=truth, seed=1, method="nested", **SMALL)
+    assert old.attrs["method"] == "smc"
+    assert old["posterior"].equals(new["posterior"])
