@@ -31,7 +31,7 @@ from invdyn.blindcheck.visibility import visibility
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 
-MAX_DRAWS = 16
+MAX_DRAWS = 16  # of a case
 MIN_DPRIME = 30.0  # d′ below which an effect of usual size counts as not met, and all is drawn again
 USUAL_DRAWS, GROWTH_PER_DRAW, MAX_GROWTH = 3, 1.5, 1.5**5  # draws of usual size; factor of each later one, and of all
 PLACES = tuple(KINDS)  # a kind's number in its seeds

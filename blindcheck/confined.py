@@ -22,7 +22,7 @@ from invdyn.recordings import InputError
 
 NAMESPACES = ("bwrap", "--die-with-parent", "--new-session", "--unshare-all", "--ro-bind", "/", "/")
 OWN = ("--dev", "/dev", "--proc", "/proc", "--setenv", "TMPDIR", "/dev/shm")
-PR_SET_DUMPABLE = 4
+PR_SET_DUMPABLE = 4  # Linux's prctl
 
 
 @dataclass(frozen=True)

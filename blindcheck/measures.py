@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import binom, norm
 
 Z90 = float(norm.ppf(0.95))
-CALIBRATION_BINS = 10
+CALIBRATION_BINS = 10  # of probability
 
 
 @dataclass(frozen=True)

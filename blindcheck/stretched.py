@@ -9,7 +9,7 @@ import numpy as np
 
 from invdyn.models import Body
 
-STANDARD_GRAVITY = 9.81
+STANDARD_GRAVITY = 9.81  # m/s²
 
 
 class Stretched(NamedTuple):

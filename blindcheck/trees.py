@@ -48,11 +48,11 @@ SETTLING_PERIODS = 12
 RIGHT = np.pi / 2
 PANDA = [Row(0, 0, 0.333), Row(0, -RIGHT, 0), Row(0, RIGHT, 0.316), Row(0.0825, RIGHT, 0)]
 PANDA += [Row(-0.0825, -RIGHT, 0.384), Row(0, RIGHT, 0), Row(0.088, RIGHT, 0)]
-PANDA_MASSES = (5.0, 0.65, 3.2, 3.6, 1.2, 1.7, 0.75)
+PANDA_MASSES = (5.0, 0.65, 3.2, 3.6, 1.2, 1.7, 0.75)  # kg
 PANDA_ENDS = ((0, 0, -0.1), (0, -0.1, 0.03), (0.05, 0.05, -0.1), (-0.08, 0.1, 0), (0, 0.08, -0.1), (0.08, 0, 0))
 """m, about where the links' far ends are in their frames; the last is the flange."""
-PANDA_FLANGE = (0.03, 0.03, 0.107)
-PANDA_MIDDLE = (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8)
+PANDA_FLANGE = (0.03, 0.03, 0.107)  # m
+PANDA_MIDDLE = (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8)  # rad
 
 
 def _slab(rng: np.random.Generator, mass: float, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

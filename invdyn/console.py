@@ -25,7 +25,7 @@ from typer.core import TyperGroup
 
 from .renamed_options import with_new_names
 
-BAD_INPUT, READER_LEFT, NOT_PRINTED, INTERRUPTED = 2, 1, 74, 130
+BAD_INPUT, READER_LEFT, NOT_PRINTED, INTERRUPTED = 2, 1, 74, 130  # exit codes; 74 is EX_IOERR, 130 SIGINT
 WORDS = "invdyn.words"  # where a context keeps the command line
 MODEL = re.compile(r".+\.py:\w+")
 MAX_CHARACTERS = 1500  # characters of a message

@@ -9,7 +9,7 @@ from .console import print_line
 from .settings import Setting, yes
 
 MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
-MAX_WORKERS = 1024
+MAX_WORKERS = 1024  # processes
 
 
 def one_name(methods: str) -> str:

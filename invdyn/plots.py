@@ -31,7 +31,7 @@ from invdyn.recordings import atomic_path
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = COLORS
 METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#CC79A7")
 INK, GREY = "#111111", "#777777"
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of draws: bands of 90 and 50 %, median
 UNSEEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0}
 FEW: dict[str, Any] = {"facecolor": "#cc3311", "edgecolor": "none", "ymax": 0.03, "zorder": 4}
 MIN_PARTICLES = 10

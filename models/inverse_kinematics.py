@@ -27,7 +27,7 @@ STARTS, LADDER = 64, 60
 """Poses that a search begins from, and its steps."""
 NUDGE = 1e-5
 """Of a coordinate, rad or m, for slopes by central differences."""
-FAR = 10.0
+PULL_SD = 10.0
 """Standard deviation of a coordinate about zero, rad or m: what no sensor sees stays there."""
 HUBER, ROUNDS = 3.0, 3
 """Standard deviations beyond which a column weighs less, and times a row is linearised."""
@@ -209,7 +209,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (S, K) that explain a row (O,), or one (S, O) each, by Levenberg and Marquardt from starts; costs (S,).
 
-    What no sensor sees stays within ``FAR`` ``about`` a pose.
+    What no sensor sees stays within ``PULL_SD`` ``about`` a pose.
     """
     known = np.isfinite(rows)
     poses, damping = starts.copy(), np.full(len(starts), 1.0)
@@ -218,14 +218,14 @@ def _solved(
         return np.where(known, (rows - here) / noise, 0.0)
 
     def cost(off: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return (off**2).sum(-1) + ((q - about) ** 2).sum(-1) / FAR**2
+        return (off**2).sum(-1) + ((q - about) ** 2).sum(-1) / PULL_SD**2
 
     for _ in range(LADDER):
         here, slopes = _with_slopes(seen, poses)
         J = np.where(known[..., None], slopes / noise[:, None], 0.0)
-        JJ = J.swapaxes(-1, -2) @ J + np.eye(poses.shape[1]) / FAR**2
+        JJ = J.swapaxes(-1, -2) @ J + np.eye(poses.shape[1]) / PULL_SD**2
         widened = JJ + damping[:, None, None] * np.eye(JJ.shape[-1]) * np.trace(JJ, axis1=-2, axis2=-1)[:, None, None]
-        pull = (J.swapaxes(-1, -2) @ off(here)[..., None])[..., 0] - (poses - about) / FAR**2
+        pull = (J.swapaxes(-1, -2) @ off(here)[..., None])[..., 0] - (poses - about) / PULL_SD**2
         moved = poses + np.linalg.solve(widened, pull[..., None])[..., 0]
         better = cost(off(seen(moved)), moved) < cost(off(here), poses)
         poses = np.where(better[:, None], moved, poses)

@@ -32,7 +32,7 @@ from invdyn.models.observation.view import View
 from invdyn.models.shapes import join
 from invdyn.models.state_space import StateSpaceModel
 
-ORDERS = (1, 2)
+ORDERS = (1, 2)  # angles walk, or velocities
 LIVELY = AGILITY[len(AGILITY) // 2]
 """s to begin with, rad/s/√s of order 2; a tenth of that of order 1."""
 

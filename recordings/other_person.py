@@ -30,7 +30,7 @@ UNUSUAL = 10.0
 """Times the 90 % quantile of e(t), that a jump exceeds."""
 LONGEST_STEP = 2.5
 """Frame intervals: across a longer step a body may have gone anywhere."""
-MIN_POINTS, MIN_ROWS = 2, 10
+MIN_POINTS, MIN_ROWS = 2, 10  # keypoints of a row that counts; such rows
 
 
 def without_others(recording: Recording) -> Recording:

@@ -7,13 +7,13 @@ from torch import Tensor
 
 from invdyn.diagnosis.catalogue.entry import CatalogueEntry
 from invdyn.models.effects.base import Effect, Values
-from invdyn.models.effects.disturbances import SHORTEST, BaseMotion, ExternalPush
+from invdyn.models.effects.disturbances import MIN_DURATION, BaseMotion, ExternalPush
 from invdyn.models.shapes import join
 
 
 def push(effect: Effect, values: Values) -> dict[str, tuple[Tensor, str]]:
     """Force, N, and its first and last moment, s."""
-    duration = values["duration"].clamp_min(SHORTEST)
+    duration = values["duration"].clamp_min(MIN_DURATION)
     half = duration / 2
     return {
         "force_x": (values["impulse_x"] / duration, "N"),

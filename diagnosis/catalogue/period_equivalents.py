@@ -25,7 +25,7 @@ from torch import Tensor
 from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.effects.base import Effect
 from invdyn.models.effects.composition import Composition
-from invdyn.models.effects.inertia import LEAST
+from invdyn.models.effects.inertia import MIN_SHARE
 
 
 def factor(effect: Effect, values: Mapping[str, float], body: BodyParameters) -> float:
@@ -50,7 +50,7 @@ def armature(rho: float, body: BodyParameters) -> dict[str, float] | None:
 def inertial_error(rho: float, body: BodyParameters) -> dict[str, float] | None:
     """The same of an error of the link's inertia."""
     more = (rho - 1) * float(_inertia(body))
-    return {"inertia": more} if more > (LEAST - 1) * float(body.inertia) else None
+    return {"inertia": more} if more > (MIN_SHARE - 1) * float(body.inertia) else None
 
 
 def payload(rho: float, body: BodyParameters) -> dict[str, float] | None:

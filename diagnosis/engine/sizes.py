@@ -15,7 +15,7 @@ from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.model_numbers import Place
 from invdyn.models.engine.drives import turning_dofs
 
-OF_JOINTS = 2
+OF_JOINTS = 2  # MuJoCo's mjEQ_JOINT
 KINDS = ("force", "speed", "acceleration", "way")
 
 

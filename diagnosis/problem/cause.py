@@ -33,7 +33,7 @@ class FittedHypothesis:
         noise, noise_sd: parameters that were searched (effects on the scatter, backlash), which are no part of
             ``names``.
         noise_log: what their integral added to the log evidence, by effect's key.
-        plausible: whether all parameters are nearer to their priors' centres than :data:`.unknowns.FAR`.
+        plausible: whether all parameters are nearer to their priors' centres than `max_prior_sds`.
         about: (p,) where it was expanded; ``mean`` is at most a short step from there, after one round any.
         learned: (p,) λ: along each principal direction, how many times more the data say of parameters than the prior.
         far: −log prior density of the parameters, in units of the prior's highest one.

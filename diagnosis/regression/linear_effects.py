@@ -60,7 +60,7 @@ FILED = {
     "joint_stiffness": "stiffness",
 }
 """Of numbers that are never negative, what a body's file says of each joint."""
-LEAST = {GAIN: -0.9}
+LOWER_BOUNDS = {GAIN: -0.9}
 """Of other numbers: what is commanded for a torque has its sign."""
 
 
@@ -191,7 +191,7 @@ def linear_effects(
         found_first = kind == GAIN and factors[k] != 1.0
         size[p] = 1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12)
         own = parts[k] or NOTHING
-        least[p] = LEAST.get(kind, -np.inf)
+        least[p] = LOWER_BOUNDS.get(kind, -np.inf)
         if kind in FILED and n == 0:
             own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0

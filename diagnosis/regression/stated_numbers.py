@@ -28,7 +28,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
-from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LEAST, LinearEffects, joints_of
+from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LOWER_BOUNDS, LinearEffects, joints_of
 from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
 from invdyn.diagnosis.regression.servo_gains import ServoGains
 from invdyn.diagnosis.regression.weighted_fit import Fitted, left_by
@@ -110,7 +110,7 @@ def named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> Numbers
     """Numbers by effect, place and parameter; a gain is the motor's."""
     names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
     found = dict(zip(names, chosen.values.tolist(), strict=True))
-    factors = {place: 1 + max(value, LEAST[GAIN]) for (kind, place, _), value in found.items() if kind == GAIN}
+    factors = {place: 1 + max(value, LOWER_BOUNDS[GAIN]) for (kind, place, _), value in found.items() if kind == GAIN}
     for key, p in zip(names, chosen.columns, strict=True):
         if key[0] not in (INERTIAL, GAIN):
             found[key] = max(found[key] / factors.get(key[1], 1.0), float(effects.least[p]))
@@ -170,7 +170,7 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
             continue
         p = column.get((kind, place, name))
         gain = fitted.get((GAIN, place, "gain"), (0.0,))[0]
-        scale = (1 + value if kind == GAIN else 1.0) / (1 + max(gain, LEAST[GAIN]))
+        scale = (1 + value if kind == GAIN else 1.0) / (1 + max(gain, LOWER_BOUNDS[GAIN]))
         sd, wider = (scale * each for each in fitted.get((kind, place, name), (0.0,) * 3)[1:])
         unit, size = ("1", 1.0) if p is None else (effects.units[p], float(effects.size[p]))
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0

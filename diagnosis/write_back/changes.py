@@ -27,7 +27,7 @@ SERVO_DAMPING = "servo damping"
 ZERO = "encoder zero"
 """What an encoder shows where the body's angle is 0, rad."""
 ZERO_ELSEWHERE = "subtract it from the log's angles, or from the joint's zero in the map"
-Z_90 = 1.645
+Z_90 = 1.645  # sd, half of a normal 90 % interval
 PLACED = "it was learned because the file calls it uncertain; where links begin and end stays as the file has it"
 NOT_SAID = "a simulation's file has no word for it"
 

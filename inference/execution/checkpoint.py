@@ -31,7 +31,7 @@ from torch import Tensor
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import first_line
 
-SCHEMA = 2
+SCHEMA = 2  # of the files
 MANIFEST = "manifest.json"
 _TENSORS = re.compile(r"tensors-\d+-[0-9a-f]{8}\.safetensors")
 _UNFINISHED = re.compile(r"\.(tensors-\d+-[0-9a-f]{8}|manifest)\.[0-9a-f]{8}\.(safetensors|json)")

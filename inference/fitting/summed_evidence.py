@@ -23,7 +23,7 @@ from invdyn.inference.fitting.marginal_likelihood import laplace, minimum
 from invdyn.inference.fitting.objective import Objective
 from invdyn.models.divergence import Diverged
 
-MAX_ITERATIONS = 12
+MAX_ITERATIONS = 12  # of the search: each is a fit of every recording
 
 
 @dataclass

@@ -50,7 +50,7 @@ NOISES = np.array([0.5, 0.7, 1.0, 1.4])
 """Grid of the noise, times the jitter."""
 FINER = np.geomspace(0.75, 1 / 0.75, 5)
 """Of a second, finer grid, times the first one's best."""
-USUAL, LOG_LENGTH_SD, SHORTEST = 0.15, 0.7, 2.0
+USUAL, LOG_LENGTH_SD, MIN_ROWS_APART = 0.15, 0.7, 2.0
 """Prior of ℓ, s and sd of its logarithm: steps of people, vehicles. And the least ℓ, in rows: what changes faster than
 rows are seen moves a base that the arm would not feel."""
 STANDARD_GRAVITY = 9.81
@@ -215,7 +215,7 @@ def base_motion(time: np.ndarray, track: np.ndarray, gravity: float = STANDARD_G
     base = MovingBase(axes)
     fixed = {name: torch.as_tensor(value) for name, value in wide.items()}
     chosen = np.tile([1.0, 1.0, 1.0], (axes, 1))  # σ, ℓ and noise of each axis
-    shortest = SHORTEST * float(np.median(np.diff(time)))
+    shortest = MIN_ROWS_APART * float(np.median(np.diff(time)))
     grids = [
         (SCALES * gravity, LENGTHS, NOISES * jitter),
         (FINER**2, FINER, FINER),

@@ -21,7 +21,7 @@ from invdyn.inference.study.trial import Trial
 from invdyn.inference.study.work import said
 from invdyn.recordings import InputError
 
-TIMES, SETS = 41, 256
+TIMES, SETS = 41, 256  # times of a curve; sets of τ at each
 
 
 def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], align: str, factor: str) -> pd.DataFrame:

@@ -46,7 +46,7 @@ OF_TRIALS = 2.0
 """Of the scale: prior scale of the spread between trials."""
 LIMIT = 0.15
 """Probability of a χ² below which the upper limit of an sd takes its sum of squares to be."""
-MIN_TRIALS = 2
+MIN_TRIALS = 2  # for a scatter between trials
 
 
 @dataclass(frozen=True)

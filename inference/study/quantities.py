@@ -22,7 +22,7 @@ import numpy as np
 from invdyn.inference.posterior.functionals import functionals
 from invdyn.inference.posterior.problem import DRAWS
 
-STARTED, ONE_SIGN = 0.1, 0.75
+STARTED, ONE_SIGN = 0.1, 0.75  # of a peak; of the draws
 OF_PEAK = ("peak", "peak_time", "peak_rate", "onset")
 STATISTICS = ("mean", "sd", "q05", "median", "q95")
 """Of draws, in the order of the last dimension of :func:`statistics`."""

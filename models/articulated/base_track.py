@@ -18,7 +18,7 @@ from torch import Tensor
 
 from invdyn.models.articulated.moving_base import ORDER, MovingBase
 
-PAIRS, WINDOW, FAR = 3, 7, 6.0
+PAIRS, WINDOW, OUTLIER_SDS = 3, 7, 6.0
 """Pairs of rows about one whose middles tell where it should be; rows about it that tell how well they do; and how many
 deviations off it is left out."""
 GRAIN = 64
@@ -30,7 +30,7 @@ def without_outliers(track: np.ndarray, noise: float) -> np.ndarray:
     near = _windows(track, PAIRS)
     off = track - _nanmedian((near[..., :PAIRS] + near[..., :PAIRS:-1]) / 2)
     sd = noise + 1.4826 * _nanmedian(np.abs(_windows(off, WINDOW)))
-    far = (np.abs(off) > FAR * sd).any(-1)
+    far = (np.abs(off) > OUTLIER_SDS * sd).any(-1)
     return np.where(far[:, None], np.nan, track)
 
 

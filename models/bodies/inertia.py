@@ -59,7 +59,7 @@ def check_inertia(matrix: np.ndarray, turning: np.ndarray, where: str) -> None:
         )
 
 
-ROUND, FAR = 1e-3, 3.0
+ROUND, MAX_GYRATION = 1e-3, 3.0
 """Relative: how near a placeholder is to a power of ten. In reaches: √(J/m), which short links of real arms exceed with
 moments of their own."""
 
@@ -77,7 +77,7 @@ class Moment:
     def strange(self) -> bool:
         """Whether it is a placeholder, and no link of that size has it."""
         known = self.mass > 0 and self.reach > 0
-        return known and placeholder(self.moment) and self.moment > self.mass * (FAR * self.reach) ** 2
+        return known and placeholder(self.moment) and self.moment > self.mass * (MAX_GYRATION * self.reach) ** 2
 
 
 def placeholder(moment: float) -> bool:

@@ -11,9 +11,9 @@ from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.rotations import UNTURNED, from_rows
 from invdyn.models.bodies.scalars import (
-    LARGEST,
-    LARGEST_LENGTH,
-    LARGEST_MASS,
+    MAX_LENGTH,
+    MAX_MASS,
+    MAX_NUMBER,
     SMALLEST,
     BodyError,
     Learned,
@@ -89,7 +89,7 @@ class Link:
                 f"{where}: expected friction, springs and motors at hinges and slides, got {self.joint.type}"
             )
         what = f"{where}: mass in kg"
-        keep(self, "mass", checked_scalar(self.mass, what, smallest=SMALLEST["mass"], largest=LARGEST_MASS))
+        keep(self, "mass", checked_scalar(self.mass, what, smallest=SMALLEST["mass"], largest=MAX_MASS))
         if self.length is not None:
             keep(self, "length", checked(self.length, "length", where))
         if (self.tip is not None) != (self.length is not None):
@@ -99,8 +99,7 @@ class Link:
         for name in (*([] if self.tip is None else [self.tip]), *self.sites):
             check_name(name, f"{where}: name of a site")
         sites = {
-            name: checked_scalars(at, 3, f"{where}: site '{name}' in m", LARGEST_LENGTH)
-            for name, at in self.sites.items()
+            name: checked_scalars(at, 3, f"{where}: site '{name}' in m", MAX_LENGTH) for name, at in self.sites.items()
         }
         keep(self, "sites", sites)
 
@@ -114,7 +113,7 @@ class Link:
                     raise BodyError(f"{where}: one number for {key} is of a link with a length, along it")
                 keep(self, key, checked(value, key, where))
         # A base may stand anywhere in the world.
-        for key, largest in (("origin", LARGEST if self.parent == WORLD else LARGEST_LENGTH), ("com", LARGEST_LENGTH)):
+        for key, largest in (("origin", MAX_NUMBER if self.parent == WORLD else MAX_LENGTH), ("com", MAX_LENGTH)):
             if getattr(self, key) is not None and not self.along(key):
                 keep(self, key, checked_scalars(getattr(self, key), 3, f"{where}: {key} in m", largest))
         if self.inertia is None or self.along("inertia"):
@@ -124,10 +123,10 @@ class Link:
         moments = [checked_scalar(x, what, smallest=SMALLEST["inertia"]) for x in products[:3]]
         keep(self, "inertia", (*moments, *products[3:]))
         most, mass = max(map(nominal, moments)), nominal(self.mass)
-        if mass > 0 and most > mass * LARGEST_LENGTH**2 and not placeholder(most):
+        if mass > 0 and most > mass * MAX_LENGTH**2 and not placeholder(most):
             raise BodyError(
-                f"{what}: expected moments as of mass within {LARGEST_LENGTH:g} m, up to "
-                f"{mass * LARGEST_LENGTH**2:.3g}, got {most:g}; is the unit right?"
+                f"{what}: expected moments as of mass within {MAX_LENGTH:g} m, up to "
+                f"{mass * MAX_LENGTH**2:.3g}, got {most:g}; is the unit right?"
             )
 
     def along(self, quantity: str) -> bool:

@@ -27,7 +27,7 @@ from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import write_whole
 
-LEAST = 2e-15
+MIN_INERTIAL = 2e-15
 """kg·m², kg: what MuJoCo takes for something."""
 ROUNDING = 1e-12
 """Of the largest moment: by so much rounding may break the triangle inequality."""
@@ -148,7 +148,7 @@ class _Writer:
         elif excess > 0:
             moments[2] -= 2 * excess
         if moves:
-            moments, mass = np.maximum(moments, LEAST), max(mass, LEAST)
+            moments, mass = np.maximum(moments, MIN_INERTIAL), max(mass, MIN_INERTIAL)
         return {
             "mass": repr(mass),
             "pos": _text(com),

@@ -16,7 +16,7 @@ IDENTITY = np.eye(3)
 UNTURNED = tuple(map(tuple, IDENTITY.tolist()))
 """The same as rows."""
 LETTERS = {letter: IDENTITY[place] for place, letter in enumerate("xyz")}
-EXACT = 1e-12
+EXACT = 1e-12  # of entries, so close to a whole number: rounding
 ROUND = 2 * np.pi
 ROUNDED = 1e-3
 """How far from length 1 a printed unit quaternion or axis may be; it is then normalised."""

@@ -14,9 +14,9 @@ UNITS = {"length": "m", "mass": "kg", "com": "m", "inertia": "kg·m²"}
 QUANTITIES = tuple(UNITS)
 SMALLEST = {"length": 1e-6, "mass": 1e-9, "inertia": 1e-21}
 """A micrometre, a microgram, and less than a fly's leg: what is smaller, but not 0, is a slip of the unit."""
-LARGEST = 1e7
+MAX_NUMBER = 1e7
 """Of any number of a body, in its unit: products of a few of them stay within a float's range."""
-LARGEST_LENGTH, LARGEST_MASS = 30.0, 1e5
+MAX_LENGTH, MAX_MASS = 30.0, 1e5
 """m and kg of a link: no longer than a crane's boom, no heavier than a crane. A limb in millimetres is longer."""
 LARGEST_NAME = 100
 """Characters."""
@@ -79,7 +79,7 @@ def checked(value: Scalar, quantity: str, where: str) -> Scalar:
     what = f"{where}: {quantity} in {UNITS[quantity]}"
     if quantity == "com":
         return checked_scalar(value, what, signed=True)
-    largest = {"length": LARGEST_LENGTH, "mass": LARGEST_MASS}.get(quantity, LARGEST)
+    largest = {"length": MAX_LENGTH, "mass": MAX_MASS}.get(quantity, MAX_NUMBER)
     positive = quantity in ("length", "mass")
     return checked_scalar(value, what, positive=positive, smallest=SMALLEST[quantity], largest=largest)
 
@@ -90,7 +90,7 @@ def checked_scalar(
     signed: bool = False,
     positive: bool = False,
     smallest: float = 0.0,
-    largest: float = LARGEST,
+    largest: float = MAX_NUMBER,
 ) -> Scalar:
     """Return a scalar, numbers as float. Raises `BodyError`, which begins with `what`.
 
@@ -118,7 +118,7 @@ def checked_scalar(
     return value
 
 
-def checked_scalars(values: object, count: int, what: str, largest: float = LARGEST) -> tuple[Scalar, ...]:
+def checked_scalars(values: object, count: int, what: str, largest: float = MAX_NUMBER) -> tuple[Scalar, ...]:
     """Return `count` scalars of either sign, up to ``largest``. Raises `BodyError`, which begins with `what`."""
     if isinstance(values, str) or not isinstance(values, Iterable) or len(values := tuple(values)) != count:
         raise BodyError(f"{what}: expected {count} numbers, got {values!r:.60}")
@@ -126,14 +126,14 @@ def checked_scalars(values: object, count: int, what: str, largest: float = LARG
 
 
 def number(value: object, what: str) -> float:
-    """Return a real number within ±`LARGEST` as float. Raises `BodyError`, which begins with `what`."""
+    """Return a real number within ±`MAX_NUMBER` as float. Raises `BodyError`, which begins with `what`."""
     if isinstance(value, Real) and not isinstance(value, bool):
         real: Any = value  # of any kind, as NumPy's; the abstract class has no comparison with a float
-        if -LARGEST <= real <= LARGEST:
+        if -MAX_NUMBER <= real <= MAX_NUMBER:
             return float(value)
         if math.inf > abs(real):  # an integer may be beyond every float, and too long to be shown
             shown = "a larger one" if isinstance(value, int) else f"{value:g}"
-            raise BodyError(f"{what}: expected a number up to {LARGEST:.0e}, got {shown}; is the unit right?")
+            raise BodyError(f"{what}: expected a number up to {MAX_NUMBER:.0e}, got {shown}; is the unit right?")
     raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
 
 

@@ -37,10 +37,10 @@ from invdyn.models.effects.base import Parameter, Scale, Values
 from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
 from invdyn.models.shapes import join, joined_by_column
 
-ROTOR_SHARE = 0.5
+ROTOR_SHARE = 0.5  # of a link's inertia: what a motor's rotor is without an armature in the file
 WIDTHS = tuple(0.003 * 1.7**n for n in range(9))
 """rad."""
-SHORTEST = 20.0
+PASSAGE_FREQUENCY = 20.0
 """Hz, of an oscillation that the sub-steps would follow; crossing a gap takes some hundredths of a second."""
 RESTITUTION, SLOW = math.exp(-2), 0.05
 """e; and rad/s, of the gap in an impact that gives nothing back."""
@@ -100,7 +100,7 @@ class Backlash(HiddenHinge):
     def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.bent`."""
         arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
-        j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, SHORTEST, row.parts)
+        j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, PASSAGE_FREQUENCY, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         taken = torch.zeros_like(psi)  # sub-steps; what ends one early leaves the rest of it to the next
         loosened = taken > 0

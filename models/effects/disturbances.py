@@ -58,7 +58,7 @@ def _shift(p: Values, elapsed: Tensor) -> Tensor:
     return joined_by_column(*(p[f"sine_{axis}"] * sine + p[f"cosine_{axis}"] * cosine for axis in "xy"))
 
 
-TYPICAL, SHORTEST = 0.15, 0.01
+TYPICAL, MIN_DURATION = 0.15, 0.01
 """s, typical and least duration of a push."""
 
 
@@ -87,7 +87,7 @@ class ExternalPush(Effect):
 
     def pull(self, p: Values, now: Situation) -> Tensor:
         """Jᵀ F, times the share of the push that acts."""
-        duration = p["duration"].clamp_min(SHORTEST)
+        duration = p["duration"].clamp_min(MIN_DURATION)
         edges = p["moment"] - duration / 2, p["moment"] + duration / 2
         on, off = (((now.time - edge) / now.step + 0.5).clamp(0.0, 1.0) for edge in edges)
         force = torch.cat(torch.broadcast_tensors(p["impulse_x"], p["impulse_y"]), -1) / duration

@@ -72,7 +72,7 @@ class Payload(Effect):
         return with_inertia(body, link, own)
 
 
-LEAST = 0.02
+MIN_SHARE = 0.02
 """Of the file's mass and inertia that is always left."""
 MAX_LOSS = 0.8
 """Of them that may plausibly be missing: arms without mass explain any recording. Twice as much may be there."""
@@ -120,9 +120,9 @@ class InertialError(Effect):
     def body(self, p: Values, body: Any) -> Any:
         """The link with other numbers; mass and inertia stay positive."""
         own = inertia_of(body, self.place[0])
-        change = torch.maximum(p["inertia"], (LEAST - 1) * own.mean)
+        change = torch.maximum(p["inertia"], (MIN_SHARE - 1) * own.mean)
         other = Inertia(
-            (own.mass + p["mass"]).maximum(LEAST * own.mass),
+            (own.mass + p["mass"]).maximum(MIN_SHARE * own.mass),
             own.com + join(*(p[name] for name in self.coms)),
             own.moments + change * own.shape,
         )

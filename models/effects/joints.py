@@ -76,7 +76,7 @@ class JointStiffness(Effect):
         return now.at(self.place[0], p["torque"] - p["stiffness"] * self.own(now.q))
 
 
-PERIODS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 36, 40, 48)
+PERIODS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 36, 40, 48)  # a turn
 
 
 class TorqueRipple(Effect):

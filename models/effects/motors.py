@@ -144,7 +144,7 @@ class ActuatorLag(Actuator):
         return torch.exp(-elapsed / T.clamp_min(1e-12)) * (T > 0)
 
 
-QUANTILES = (0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 0.97)
+QUANTILES = (0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 0.97)  # of efforts, where a limit is tried
 
 
 class ActuatorSaturation(Effect):
@@ -173,9 +173,9 @@ class ActuatorSaturation(Effect):
         return command.changed(clipped)
 
 
-LEAST = -0.8
+MIN_GAIN = -0.8
 """Least ε of a motor: arms without mass under motors that give nearly nothing would explain any recording."""
-LEAST_OF_SERVO = -0.999
+MIN_SERVO_GAIN = -0.999
 """Of a servo, which falls behind its target by what it carries: public files of one arm have gains 56 apart."""
 GEARS = 15.0
 """Order of ε for a gear that was left out; robots' gears have ratios from a few to a hundred and sixty."""
@@ -198,7 +198,7 @@ class ActuatorGain(Actuator, OfServos):
         if self.form:
             return (Parameter("gain", "1", HalfNormal(GEARS), least=LEFT_OUT),)
         servos = all(k in self.servos for k in self.place) and bool(self.place)
-        return (Parameter("gain", "1", StudentT(3.0, 0.0, 0.15), least=LEAST_OF_SERVO if servos else LEAST),)
+        return (Parameter("gain", "1", StudentT(3.0, 0.0, 0.15), least=MIN_SERVO_GAIN if servos else MIN_GAIN),)
 
     def command(self, p: Values, command: Command) -> Command:
         """(1 + ε) u."""

@@ -21,10 +21,10 @@ from torch import Tensor
 
 TIE = 10.0
 """s, rad or m: how far a configuration may be from that of the row before; next to nothing against what is seen."""
-NUDGE, ROUNDS, FIRST_ROUNDS = 1e-5, 8, 40
+NUDGE, ROUNDS, FIRST_ROUNDS = 1e-5, 8, 40  # of slopes; steps of a search, and of the first row
 STARTS = 12
 """Configurations tried for the first row that shows anything."""
-WINDOW, ORDER = 9, 3
+WINDOW, ORDER = 9, 3  # rows and order of the Savitzky–Golay filter of velocities
 
 
 class Posed(Protocol):

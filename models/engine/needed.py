@@ -17,7 +17,7 @@ from invdyn.models.bodies.whole_file import read_whole
 from invdyn.models.engine.drives import is_muscle
 from invdyn.models.engine.scene import Scene
 
-MOST_NAMED = 4
+MOST_NAMED = 4  # names in a message
 
 
 def reasons_for_engine(path: Path) -> list[str]:

@@ -27,7 +27,7 @@ DEGREES_OF_FREEDOM = 4.0
 """ν, for the tails of a tracker's outliers."""
 UNSEEN = 1e6
 """px, the residual of a point that the camera cannot see at all."""
-NEWTON_STEPS, EM_ROUNDS = 25, 6
+NEWTON_STEPS, EM_ROUNDS = 25, 6  # most of each; few are used
 MIN_ANGLE = np.radians(0.5)
 """Between the two rays that differ most: a smaller one determines no depth."""
 

@@ -102,7 +102,7 @@ def _unpacked(path: Path, packed: bool, budget: Budget) -> Iterator[Path]:
 
 
 TABLES = ("topics", "messages")
-STEPS_BETWEEN_CHECKS = 1_000_000
+STEPS_BETWEEN_CHECKS = 1_000_000  # of SQLite's machine, some ms
 
 
 def collect_database(path: Path, found: Collected, packed: bool) -> None:

@@ -24,7 +24,7 @@ from .blazepose_weights import Network, load_networks
 ARM = {"left": (11, 13, 15), "right": (12, 14, 16)}
 """Landmarks of shoulder, elbow and wrist; left and right are the person's own."""
 DETECTOR_SIDE, LANDMARKS_SIDE, MAP_SIDE = 224, 256, 64  # px of the networks' pictures and heat maps
-LANDMARKS, CENTRE, CIRCLE = 39, 33, 34
+LANDMARKS, CENTRE, CIRCLE = 39, 33, 34  # of MediaPipe's model: their number, two auxiliary ones
 SQUARE_TO_CIRCLE = 1.25  # side of a square over the circle's diameter
 MIN_SCORE = 0.5  # of a person or of a heat map's peak
 BOX_MARGIN = 1.5  # side of the square that is searched for a person over the longer side of the user's box

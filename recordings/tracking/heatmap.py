@@ -18,7 +18,7 @@ from ..paths import check_readable
 from .confidence import platt
 from .unet import UNet, activations, peaks
 
-SCHEMA = 1
+SCHEMA = 1  # of the file
 MAX_SIDE = 4096  # px of the pictures
 
 

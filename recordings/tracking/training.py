@@ -24,7 +24,7 @@ from .tracker import Keeper, Progress
 from .unet import UNet, peaks, targets
 
 VALIDATION = 8  # one label of so many
-MIN_LABELS = 4
+MIN_LABELS = 4  # pictures, fewer cannot be split
 TARGET_SD = 0.01  # of a target's Gaussian, in the picture's longer side; at least 1.5 px
 TOLERANCE = 0.02  # distance within which a point is right, in the film's longer side
 SAVE_EVERY = 20  # steps

@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-STRIDE = 2
+STRIDE = 2  # px of the picture, a pixel of the map
 REFINE_CELLS = 4  # on each side of a peak
 
 
