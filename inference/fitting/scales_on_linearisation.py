@@ -56,7 +56,7 @@ def fit_scales(
         fitted = Fitted.of(model, observations, smoother.path, smoother.covariance())
         phi = _best(parameters, fitted)
         model = parameters.at(torch.as_tensor(phi))
-        smoother = statistical_homotopy(model, observations, refine=smoother)
+        smoother = statistical_homotopy(model, observations, smoother)
         if progress is not None:
             progress(turn + 1, ROUNDS)
         if settled := bool(np.abs(phi).max() < SETTLED):

@@ -9,7 +9,8 @@ García-Fernández, Svensson & Särkkä, "Iterated posterior linearization smoot
 
 but P_t, of a sharp model, is too narrow to see a contact that a wrong path misses. So the process noise is relaxed at
 first (:meth:`.StateSpaceModel.relaxed`, amounts α from 1 to 0), by which P_t spans the pieces; the rows then place the
-path, and each stage begins at the posterior of the last one:
+path, and each stage begins at the posterior of the last one. A path that is given is at the right pieces already, and
+the last stage alone begins at it:
 
     (x̄, P)_{k+1} = smoother of the model with noise Q(α_k), fitted over (x̄, P)_k.
 
@@ -40,25 +41,26 @@ SETTLED, LAST_SETTLED = 2.0, 0.1
 
 
 def statistical_homotopy(
-    model: StateSpaceModel, observations: Tensor, start: Tensor | None = None, *, refine: GaussianSmoother | None = None
+    model: StateSpaceModel, observations: Tensor, start: Tensor | GaussianSmoother | None = None
 ) -> GaussianSmoother:
     """The Gaussian smoother of a model whose transition has kinks.
 
     Args:
         model: with Gaussian transition noise, and :meth:`.StateSpaceModel.relaxed` dynamics.
         observations: (T, O), NaN where missing.
-        start: path (T, D) to begin at; by default the model's own.
-        refine: a smoother of a nearby model, from which the last stage alone is done.
+        start: path (T, D), or smoother, of a nearby model, from which the last stage alone is done; by default the
+            homotopy begins at the model's own path.
 
     Raises ModelError for a model that does not fit its rows, Diverged where no pass has a finite path.
     """
     observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
-    if refine is not None:
-        return _tightest(model, observations, refine)
-    path = model.initial_paths(observations)[0] if start is None else start.detach().cpu().double()
-    smoother = None
+    if start is not None:
+        given = isinstance(start, GaussianSmoother)
+        first = start if given else first_fit(model, observations, start.detach().cpu().double())
+        return _tightest(model, observations, first)
+    path, smoother = model.initial_paths(observations)[0], None
     for amount in AMOUNTS[:-1]:
         relaxed = model.relaxed(amount)
         if relaxed is model:

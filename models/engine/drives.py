@@ -219,6 +219,11 @@ class Inputs:
         return len(self.names)
 
     @property
+    def pushed(self) -> tuple[int, ...]:
+        """Degrees of freedom that a drive's generalised forces act at."""
+        return tuple(place for each in self.drives if each.fills == "QFRC_APPLIED" for place in each.places)
+
+    @property
     def controls_actuators(self) -> bool:
         """Whether a drive, or what is given, sets the file's own actuators."""
         return "CTRL" in self.given or any(isinstance(each, Controls) for each in self.drives)

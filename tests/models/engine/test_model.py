@@ -12,7 +12,7 @@ import torch
 from invdyn.inference import check_model
 from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation
 from invdyn.models.engine.drives import Controls, Given, Inputs, JointTorques, Wrench, turning_dofs
-from invdyn.models.engine.model import EngineModel
+from invdyn.models.engine.model import EngineModel, typical_forces
 from invdyn.models.engine.readings import Readings
 from invdyn.models.engine.scene import Scene
 
@@ -145,6 +145,17 @@ def test_many_states_and_rows_at_once_are_the_same_as_one_by_one():
     for t in range(1, 5):
         for own, state in zip(every[:, t - 1], path[:, t - 1], strict=True):
             assert torch.equal(own, mean_of(model, state, t))
+
+
+def test_limbs_that_carry_a_base_may_hold_all_of_it():
+    """By levers: at the knee hang shank and foot, or stand trunk and thigh; at the hip the trunk stands straight."""
+    scene = Scene.of(legs.leg_file("hop"))
+    hanging, standing = typical_forces(scene, (0, 1, 2)), typical_forces(scene, (1, 2))
+    hip, knee = np.random.default_rng(0).uniform(-1, 1, (20, 3))[1:, 1:].T  # poses, the first of which is straight
+    foot = 1000 * 4 / 3 * np.pi * 0.025**3
+    assert hanging[2] == pytest.approx(9.81 * (0.3 * 0.125 + foot * 0.25) * np.abs(np.sin(hip + knee)).max())
+    assert standing[2] == pytest.approx(9.81 * (3 * 0.25 + 0.5 * 0.125) * np.abs(np.sin(hip)).max())
+    assert standing[:2] == pytest.approx(hanging[:2])
 
 
 def test_processes_of_any_kind_drive_it():
