@@ -5,7 +5,7 @@ Torques of hip and knee, and the force of the floor, are inferred by `infer_engi
 over seeds: the standard deviation of log Ẑ over filters, the share of rows whose 90 % band holds the true torque, and
 the true vertical force where it acts, the inferred impulse over the true one, errors, and CPU seconds.
 
-    python benchmarks/leg.py --seeds 3 --filters 4 [--results FILE]
+    python benchmarks/leg.py --seeds 20 --filters 4 [--kinds drop slip] [--results FILE]
 """
 
 import argparse
@@ -78,6 +78,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--rows", type=int, default=120)
     parser.add_argument("--filters", type=int, default=16)
     parser.add_argument("--particles", type=int, default=200)
@@ -86,9 +87,9 @@ def main() -> None:
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
     sizes = (arguments.rows, arguments.filters, arguments.particles)
-    runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in KINDS}
+    runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in arguments.kinds}
     for seed in range(arguments.seeds):  # of every kind before the next seed, so that what is kept is a table
-        for kind in KINDS:
+        for kind in arguments.kinds:
             runs[kind].append(kept(arguments.results, f"{kind} {seed} {sizes}", partial(measured, kind, seed, *sizes)))
     print(
         "| leg | sd of log Ẑ | usable | torque in band | force in band | impulse | torque rmse | force rmse | CPU s |"

@@ -6,7 +6,7 @@ of the twelve joints and the force of the floor on each foot are inferred by `in
 vertical force as shares of the body's weight, over rows in which a foot stands, and of all feet's sum over all rows;
 the share of rows in which 90 % bands hold the truth; CPU seconds and peak memory.
 
-    python benchmarks/quadruped.py [--seconds 2] [--filters 4] [--files FOLDER] [--results FILE]
+    python benchmarks/quadruped.py [--seconds 2] [--seeds 1] [--files FOLDER] [--results FILE]
 
 With `--files` the model and the recording are written for `invdyn infer FOLDER/walk.csv --body FOLDER/go1.xml`.
 """
@@ -24,10 +24,11 @@ import mujoco
 import numpy as np
 import torch
 from kept import kept
+from leg import held, rms
 
 from invdyn.inference.infer_engine import infer_engine
 from invdyn.models import Scene
-from invdyn.recordings import Recording
+from invdyn.recordings import Recording, write_keypoint_csv
 from invdyn.recordings.catalogue import Source, fetch
 
 GO1 = Source(
@@ -138,3 +139,81 @@ def vertical(model, data, feet: list[int]) -> np.ndarray:
             mujoco.mj_contactForce(model, data, c, own)
             out[feet.index(other)] += (data.contact.frame[c].reshape(3, 3).T @ own[:3])[2]
     return out
+
+
+def measured(seconds: float, filters: int, particles: int, seed: int) -> dict:
+    """Figures of one walk."""
+    walked = walk(seconds, seed)
+    begin = time.process_time()
+    idata = infer_engine(
+        recording(walked), Scene.of(walked.text), seed=seed, num_filters=filters, num_particles=particles
+    )
+    took = time.process_time() - begin
+    posterior = idata["posterior"].stack(sample=("chain", "draw"), create_index=False)
+    torque = posterior["torque"].sel(joint=list(walked.joints)).transpose("sample", "time", "joint").values[:, :-1]
+    pushed = posterior["contact_force"].sel(axis="z").transpose("sample", "time", "contact").values[:, :-1]
+    names = [str(name) for name in posterior["contact"].values]
+    force = np.stack([pushed[..., names.index(f"floor-{leg}")] for leg in LEGS], -1)
+    true_torque, true_force = walked.torque[:-1], walked.force[:-1]
+    stands, total = true_force > STANDS, force.sum(-1)
+    off = np.median(force, 0) - true_force
+    return {
+        "feet": [rms(off[stands[:, k], k]) / walked.weight for k in range(len(LEGS))],
+        "sum": rms(np.median(total, 0) - true_force.sum(-1)) / walked.weight,
+        "impulse": float(force.mean(0).sum() / true_force.sum()),
+        "torque_error": rms(np.median(torque, 0) - true_torque),
+        "torque_size": rms(true_torque),
+        "torque": float(held(torque, true_torque).mean()),
+        "force": float(held(force, true_force)[stands].mean()),
+        "total": float(held(total, true_force.sum(-1)).mean()),
+        "filters": float(idata["sample_stats"]["log_evidence"].values.std(ddof=1)),
+        "usable": float(idata["sample_stats"].attrs["usable"]),
+        "hidden": idata.attrs.get("hidden", ""),
+        "seconds": took,
+        "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def recording(walked: Walk) -> Recording:
+    """The keypoints."""
+    return Recording(time=walked.time, keypoints=walked.rows, keypoint_names=walked.names, name="go1")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--filters", type=int, default=16)
+    parser.add_argument("--particles", type=int, default=200)
+    parser.add_argument("--files", type=Path, help="folder to write the model and the recording to, and stop")
+    parser.add_argument("--results", type=Path, help="file that keeps each walk's figures")
+    arguments = parser.parse_args()
+    if folder := arguments.files:
+        walked = walk(arguments.seconds, 0)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "go1.xml").write_text(walked.text, encoding="utf-8")
+        write_keypoint_csv(recording(walked), folder / "walk.csv")
+        return
+    torch.set_num_threads(1)
+    warnings.simplefilter("ignore")
+    heads = ("seed", "each foot, % of weight", "all feet", "impulse", "torque rmse", "torque, foot, all feet in band")
+    print(f"| {' | '.join((*heads, 'sd of log Ẑ', 'usable', 'CPU s', 'GB'))} |")
+    print("|---" * 10 + "|")
+    said = ""
+    for seed in range(arguments.seeds):
+        sizes = (arguments.seconds, arguments.filters, arguments.particles, seed)
+        run = kept(arguments.results, f"go1 {sizes}", partial(measured, *sizes))
+        feet = ", ".join(f"{100 * each:.1f}" for each in run["feet"])
+        print(
+            f"| {seed} | {feet} | {100 * run['sum']:.1f} | {run['impulse']:.3f} | "
+            f"{run['torque_error']:.2g} of {run['torque_size']:.2g} N·m | "
+            f"{run['torque']:.2f}, {run['force']:.2f}, {run['total']:.2f} | {run['filters']:.2f} | "
+            f"{run['usable']:.0%} | {run['seconds']:.0f} | {run['gigabytes']:.1f} |"
+        )
+        said = said or run["hidden"]
+    print(f"\nWhat the summary says of the first:\n\n{said}")
+
+
+if __name__ == "__main__":
+    main()

@@ -9,21 +9,20 @@ García-Fernández, Svensson & Särkkä, "Iterated posterior linearization smoot
 
 but P_t, of a sharp model, is too narrow to see a contact that a wrong path misses. So the process noise is relaxed at
 first (:meth:`.StateSpaceModel.relaxed`, amounts α from 1 to 0), by which P_t spans the pieces; the rows then place the
-path, and each stage begins at the posterior of the last one. A path that is given is at the right pieces already, and
-the last stage alone begins at it:
+path, and each pass begins at the posterior of the last one. A path that is given is at the right pieces already, and
+the passes without more noise alone begin at it:
 
     (x̄, P)_{k+1} = smoother of the model with noise Q(α_k), fitted over (x̄, P)_k.
 
-This is graduated optimisation (A. Blake & A. Zisserman, "Visual Reconstruction", MIT Press, 1987) in the noise. A stage
-ends when a pass changes the evidence by less than ``SETTLED`` nats, or after ``PASSES`` of them: where a kink divides
-the posterior, passes alternate, and the particles that follow share it out. Of the last stage's passes that with the
-highest evidence is kept.
+This is graduated optimisation (A. Blake & A. Zisserman, "Visual Reconstruction", MIT Press, 1987) in the noise. At
+α = 0 passes end when one changes the evidence by less than ``SETTLED`` nats, or after ``PASSES`` of them: where a kink
+divides the posterior, they alternate, and the particles that follow share it out. That of the highest evidence is kept.
 
 Shapes: observations (T, O), path (T, D). All in float64; the model gives no derivatives.
 """
 
+import contextlib
 import math
-from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -34,10 +33,9 @@ from invdyn.inference.smoothing.posterior_linearisation import fit_linear, one_p
 from invdyn.models.divergence import Diverged, Singular, diverging
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
-AMOUNTS = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
-PASSES, LAST_PASSES = 4, 12
-SETTLED, LAST_SETTLED = 2.0, 0.1
-"""Nats between two passes, of a stage and of the last one."""
+AMOUNTS = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
+PASSES, SETTLED = 12, 0.5
+"""At most, and nats between two, without more noise."""
 
 
 def statistical_homotopy(
@@ -48,8 +46,8 @@ def statistical_homotopy(
     Args:
         model: with Gaussian transition noise, and :meth:`.StateSpaceModel.relaxed` dynamics.
         observations: (T, O), NaN where missing.
-        start: path (T, D), or smoother, of a nearby model, from which the last stage alone is done; by default the
-            homotopy begins at the model's own path.
+        start: path (T, D), or smoother, of a nearby model, from which no noise is relaxed; by default the homotopy
+            begins at the model's own path.
 
     Raises ModelError for a model that does not fit its rows, Diverged where no pass has a finite path.
     """
@@ -61,13 +59,12 @@ def statistical_homotopy(
         first = start if given else first_fit(model, observations, start.detach().cpu().double())
         return _tightest(model, observations, first)
     path, smoother = model.initial_paths(observations)[0], None
-    for amount in AMOUNTS[:-1]:
+    for amount in AMOUNTS:
         relaxed = model.relaxed(amount)
         if relaxed is model:
             break
-        if smoother is None:
-            smoother = first_fit(relaxed, observations, path)
-        smoother = _stage(relaxed, observations, smoother)
+        with contextlib.suppress(Singular), diverging():
+            smoother = one_pass(relaxed, observations, smoother or first_fit(relaxed, observations, path))
     return _tightest(model, observations, smoother or first_fit(model, observations, path))
 
 
@@ -82,36 +79,21 @@ def first_fit(model: StateSpaceModel, observations: Tensor, path: Tensor) -> Gau
         return recentred_on_mean(model, observations, path, linear)
 
 
-def _stage(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
-    """The last of a stage's passes."""
-    for each, _ in _passes(model, observations, smoother, PASSES, SETTLED):
-        smoother = each
-    return smoother
-
-
 def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother) -> GaussianSmoother:
-    """The best of the last stage's passes."""
-    found = list(_passes(model, observations, smoother, LAST_PASSES, LAST_SETTLED))
-    if not found:
-        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
-    best = max((each for each, _ in found), key=lambda each: float(each.log_evidence))
-    best.converged = torch.tensor(found[-1][1])
-    return best
-
-
-def _passes(
-    model: StateSpaceModel, observations: Tensor, smoother: GaussianSmoother, most: int, tolerance: float
-) -> Iterator[tuple[GaussianSmoother, bool]]:
-    """At ``most`` so many passes, each with whether its evidence has settled; that, or a singular one, is the end."""
-    before, settled = math.inf, False
-    for _ in range(most):
+    """The best of some passes; the evidence of the last ones is settled, or they alternate."""
+    best, before, settled = None, math.inf, False
+    for _ in range(PASSES):
         try:
             with diverging():
                 smoother = one_pass(model, observations, smoother)
         except Singular:
-            return
+            break
         evidence = float(smoother.log_evidence)
-        settled, before = abs(evidence - before) < tolerance, evidence
-        yield smoother, settled
+        settled, before = abs(evidence - before) < SETTLED, evidence
+        best = smoother if best is None or evidence > float(best.log_evidence) else best
         if settled:
-            return
+            break
+    if best is None:
+        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
+    best.converged = torch.tensor(settled)
+    return best
