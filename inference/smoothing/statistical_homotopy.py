@@ -54,10 +54,10 @@ def statistical_homotopy(
     observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()
+    if isinstance(start, GaussianSmoother):
+        return _tightest(model, observations, start)
     if start is not None:
-        given = isinstance(start, GaussianSmoother)
-        first = start if given else first_fit(model, observations, start.detach().cpu().double())
-        return _tightest(model, observations, first)
+        return _tightest(model, observations, first_fit(model, observations, start.detach().cpu().double()))
     path, smoother = model.initial_paths(observations)[0], None
     for amount in AMOUNTS:
         relaxed = model.relaxed(amount)
