@@ -7,6 +7,8 @@ noise does. With the refined precision Λ and the prior's S⁻¹,
     Λ_ζ = ζ (Λ − S⁻¹) + S⁻¹
 """
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -52,11 +54,9 @@ def finding(
     estimates = {}
     narrowed = _narrowed(problem, cause, temper)
     for name, (values, unit) in described.items():
-        low, high = np.quantile(values, [0.05, 0.95])
+        found = estimate(values, unit, narrowed.get(f"{effect.key}.{name}", float("nan")))
         # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
-        mean = cause.noise.get(f"{effect.key}.{name}", float(values.mean()))
-        share = narrowed.get(f"{effect.key}.{name}", float("nan"))
-        estimates[name] = Estimate(mean, float(values.std()), (float(low), float(high)), unit, values, share)
+        estimates[name] = replace(found, mean=cause.noise.get(f"{effect.key}.{name}", found.mean))
     changes = {}
     for name, quantity in entry.body_file_fields.items():
         if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
@@ -65,9 +65,8 @@ def finding(
             if own is not None:  # the file's own number is uncertain too
                 changes[name] = Change(before, estimate(own + described[name][0], e.unit, e.narrowed))
                 continue
-            low, high = (before + end for end in e.interval_90)
-            after = Estimate(before + e.mean, e.sd, (low, high), e.unit, before + e.draws, e.narrowed)
-            changes[name] = Change(before, after)
+            after = estimate(before + e.draws, e.unit, e.narrowed)
+            changes[name] = Change(before, replace(after, mean=before + e.mean))
     known = CATALOGUE.get(effect.name) is entry
     return Finding(effect.name, effect.side, place(effect), estimates, changes, None if known else entry)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.regression.as_model import model_on, with_coefficients
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS
+from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, WITHIN
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import PREFIX, Effect
@@ -33,7 +33,7 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: 
     if regression is None or regression.unseen is None:
         return Start()
     stated = [s.effect for s in regression.stated if s.everywhere and len(s.places) > 1]
-    everywhere = frozenset("joint_stiffness" if effect == "constant_torque" else effect for effect in stated)
+    everywhere = frozenset(WITHIN.get(effect, effect) for effect in stated)
     if not everywhere & JOINT_KINDS.keys():
         return Start()
     found = regressed(regression, problem, passive)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
+from invdyn.diagnosis.regression.linear_effects import INERTIAL, WITHIN
 from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.regression.regressors import link_axes, nominal_link_numbers
@@ -59,8 +59,8 @@ def with_coefficients(model: ArmModel, found: Coefficients) -> ArmModel:
     for (kind, place, name), value in found.items():
         if kind == INERTIAL:
             continue
-        if kind == "constant_torque":
-            add("joint_stiffness", place, stiffness=0.0, torque=-value)
+        if kind in WITHIN:
+            add(WITHIN[kind], place, stiffness=0.0, torque=-value)
         else:
             add(kind, place, **{name: value})
     changed = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}

@@ -16,6 +16,7 @@ from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate
 from invdyn.diagnosis.problem.regime import REGIMES
+from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, handy, known, percent, plain, plus_minus
@@ -134,7 +135,7 @@ def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
         with_others = "".join(
             f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.known_with.items()
         )
-        of = "of" if each.effect == "inertial_error" else "at"
+        of = "of" if each.effect == INERTIAL else "at"
         what = f"{effect_words(each.effect)}: {each.parameter} {of} {each.place}{with_others}"
         known = estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))
         rows.append((what, *known, percent(each.probability)))

@@ -13,6 +13,7 @@ from invdyn.diagnosis.assessment.result import (
     Where,
     named,
 )
+from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
@@ -151,7 +152,7 @@ def regression_words(regression: Regression) -> str:
     """
     sure, perhaps = [], []
     for stated in regression.stated:
-        words, of = effect_words(stated.effect), "link" if stated.effect == "inertial_error" else "joint"
+        words, of = effect_words(stated.effect), "link" if stated.effect == INERTIAL else "joint"
         words += " of" if of == "link" else " at"
         rest = [place for place in stated.places if place not in stated.sure]
         if stated.everywhere and not rest and len(stated.places) > 1:
