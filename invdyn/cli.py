@@ -188,12 +188,12 @@ def diagnose(
     from invdyn.diagnosis.diagnose import diagnose as run
     from invdyn.diagnosis.diagnose import save
     from invdyn.diagnosis.report.sentences import details, interim, verdict
-    from invdyn.diagnosis.write_back.write_back import check_write_back
+    from invdyn.diagnosis.write_back.ensemble import write_ensemble, write_members
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
-    from invdyn.recordings import InputError, new_folder, whole_set
+    from invdyn.recordings import new_folder, whole_set
 
     from .engine_input import diagnose_by_engine, engine_log_of
-    from .outputs import OutputFolder, check_folder
+    from .outputs import OutputFolder
 
     given.check()
     outputs = OutputFolder.of_diagnosis(out)
@@ -201,18 +201,8 @@ def diagnose(
     tracks = given.tracks_file(out.with_name(f"{out.name}.tracks.csv"))
     check_outputs([tracks, write_back], given.files)
     check_ending("a file of tracks", tracks, ".csv")
-    if given.body is None and (write_back is not None or ensemble is not None):
-        raise InputError("--write-back and --ensemble correct copies of a file: give --body, and no person's height")
-    if write_back is not None:
-        check_write_back(str(given.body), write_back)
     count, copies = ensemble or (0, None)
-    if copies is not None:
-        from invdyn.diagnosis.write_back.ensemble import check_ensemble, write_ensemble, write_members
-
-        check_ensemble(count)
-        check_write_back(str(given.body), copies / Path(str(given.body)).name)
-        files = (copies / f"robot_{n:03d}{Path(str(given.body)).suffix}" for n in range(count))
-        check_folder(copies, [copies / "randomisation.json", *files], given.files)
+    _check_copies(given, write_back, count, copies)
     if (log := engine_log_of(given, engine)) is not None:
         with ProgressBar() as progress:
             diagnosis, members = diagnose_by_engine(given, *log, progress, write_back, count)
@@ -257,6 +247,27 @@ def diagnose(
     say(outputs.listing() + ("" if tracks is None else f"\n{'tracks':<10} {tracks}"))
     if copies is not None:
         say(f"ensemble   {copies}")
+
+
+def _check_copies(given: Diagnosed, write_back: Path | None, count: int, copies: Path | None) -> None:
+    """Raise InputError, BodyError or OSError where a corrected file, or copies of it, could not be written."""
+    from invdyn.diagnosis.write_back.ensemble import check_ensemble
+    from invdyn.diagnosis.write_back.write_back import check_write_back
+    from invdyn.recordings import InputError
+
+    from .outputs import check_folder
+
+    if write_back is None and copies is None:
+        return
+    if given.body is None:
+        raise InputError("--write-back and --ensemble correct copies of a file: give --body, and no person's height")
+    if write_back is not None:
+        check_write_back(given.body, write_back)
+    if copies is not None:
+        check_ensemble(count)
+        check_write_back(given.body, copies / Path(given.body).name)
+        files = (copies / f"robot_{n:03d}{Path(given.body).suffix}" for n in range(count))
+        check_folder(copies, [copies / "randomisation.json", *files], given.files)
 
 
 OTHERS = (simulate, plot, view, demo, trials, check, live, excite, label, train, track, calibrate, triangulate)

@@ -263,6 +263,24 @@ BAD = {
     "one frame": ((*DIAGNOSE, "--frames", "3:4"), "2 frames"),
     "does not fit": ((*DIAGNOSE, "--frames", "3:5"), "does not fit"),
     "no output": (DIAGNOSE[:-2], "--out"),
+    "a copy of no file": (
+        (
+            "diagnose",
+            "rec.csv",
+            "--height",
+            "1.8",
+            "--mass",
+            "80",
+            "--sex",
+            "m",
+            "--out",
+            "found",
+            "--write-back",
+            "a.xml",
+        ),
+        "correct copies of a file: give --body",
+    ),
+    "a copy of another kind": ((*DIAGNOSE, "--write-back", "new.urdf"), "new.urdf"),
     "a broken MJCF": (("diagnose", "rec.csv", "--body", "bad.xml", "--out", "found"), "bad.xml"),
 }
 

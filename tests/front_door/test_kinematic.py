@@ -60,6 +60,14 @@ def test_what_has_no_part_in_it_is_refused(swinging, run, contents, options, sai
     assert set(contents(swinging)) == before
 
 
+def test_a_comparison_has_no_torque_of_none(swinging, run):
+    outcome = run(
+        "compare", "rec.csv", "--body", "arm.toml", "--methods", "laplace", "--out", "DIR", "--torque", "none"
+    )
+    assert outcome.exit_code == 2
+    assert "unknown torque process 'none': known are" in outcome.stderr
+
+
 def test_a_kinematic_posterior_has_no_torques_to_export(swinging, run):
     assert (
         run(
