@@ -1,7 +1,7 @@
 """A film of the arm: observed and predicted joints above, the torques with a moving time line below.
 
 In space it is seen from two sides, x and z from the front, y and z from the side. Lines join the points as the body
-has them. In the plane it may lie over the film that was tracked.
+has them; others are the forces of contacts. In the plane it may lie over the film that was tracked.
 
 The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
 so that it costs milliseconds. The film has the recording's own speed. GIF by Pillow, MP4 by
@@ -29,8 +29,11 @@ from invdyn.recordings import InputError, atomic_path
 
 from .console import check_ending
 from .plots import (
+    AXIS_COLORS,
     BLUE,
+    GREEN,
     INK,
+    OF_CONTACT,
     PURPLE,
     STYLE,
     VERMILION,
@@ -52,6 +55,7 @@ ARMS = 30  # posterior draws shown as pale arms
 VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
 """Of each number of coordinates: which two each picture shows."""
 WIDTH = 6.4  # inches
+LONGEST = 0.3  # of the arm's size, the line of the largest force of a contact
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
@@ -111,8 +115,9 @@ def film_frames(
         observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
         observed = np.full((len(time), 1, arms.shape[-1]), np.nan)
+    forces = pushes(idata, float(np.ptp(mean, axis=(0, 1)).max()))
     if overlay is not None:
-        arms, mean, observed = map(overlay.pixels, (arms, mean, observed))
+        arms, mean, observed, forces = map(overlay.pixels, (arms, mean, observed, forces))
     dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
     with matplotlib.rc_context(STYLE):
         figure, arm_axes, torque_axes = still_parts(idata, arms, observed, None if overlay is None else overlay.size)
@@ -139,7 +144,7 @@ def film_frames(
                 beneath.set_data(next(film))
             recent = (time > time[frame] - TRAIL) & (time <= time[frame])
             for picture in pictures:
-                picture.show(arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1])
+                picture.show(arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1], forces[frame])
             clock.set_text(f"{time[frame]:.2f} s")
             for cursor in cursors:
                 cursor.set_xdata([time[frame], time[frame]])
@@ -177,8 +182,24 @@ def skeleton(idata: az.InferenceData) -> list[list[int]]:
     return lines
 
 
+def pushes(idata: az.InferenceData, size: float) -> np.ndarray:
+    """Lines (time, contact, 2, d) from mean centres of pressure along mean forces; NaN where a pair does not touch."""
+    space = [list(AXIS_COLORS).index(str(name)) for name in idata["posterior"]["space"].values]
+    if "contact_force" not in idata["posterior"]:
+        return np.empty((idata["posterior"].sizes["time"], 0, 2, len(space)))
+    draws = pooled(idata)
+    force, centre = (draws[name].transpose("sample", "time", "contact", "axis").values for name in OF_CONTACT)
+    force, touches = force.mean(0), np.isfinite(centre).sum(0)
+    middle = np.where(touches > 0, np.nansum(centre, 0), np.nan) / np.maximum(touches, 1)
+    far = force * LONGEST * size / max(np.linalg.norm(force, axis=-1).max(), 1e-9)
+    return np.stack([middle, middle + far], 2)[..., space]
+
+
 class Picture:
-    """One view of the arm, with what moves in it: pale arms of posterior draws, their mean, what was observed."""
+    """One view of the arm, with what moves in it: pale arms of posterior draws, their mean, what was observed.
+
+    And forces of contacts.
+    """
 
     def __init__(self, axes: Axes, view: list[int], dotted: str):
         self.view = view
@@ -189,14 +210,25 @@ class Picture:
         (self.dots,) = axes.plot(
             [], [], "o", linestyle=dotted, color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6
         )
-        for collection in (self.draws, self.arm):
+        self.forces = LineCollection([], colors=GREEN, linewidths=2)
+        for collection in (self.draws, self.arm, self.forces):
             axes.add_collection(collection)
-        self.artists: list[Any] = [self.draws, self.trail, self.arm, self.joints, self.dots]
+        self.artists: list[Any] = [self.draws, self.trail, self.arm, self.joints, self.dots, self.forces]
 
     def show(
-        self, draws: np.ndarray, mean: np.ndarray, lines: list[list[int]], observed: np.ndarray, recent: np.ndarray
+        self,
+        draws: np.ndarray,
+        mean: np.ndarray,
+        lines: list[list[int]],
+        observed: np.ndarray,
+        recent: np.ndarray,
+        forces: np.ndarray,
     ) -> None:
-        """One frame: `draws` (sample, 1 + S, d), `mean` (1 + S, d), `observed` (P, d), the last one's past (t, d)."""
+        """One frame: `draws` (sample, 1 + S, d), `mean` (1 + S, d), `observed` (P, d), the last one's past (t, d).
+
+        And lines of `forces` (contact, 2, d).
+        """
+        self.forces.set_segments(list(forces[..., self.view]))
         self.draws.set_segments([arm for line in lines for arm in draws[:, line][..., self.view]])
         self.arm.set_segments([mean[line][:, self.view] for line in lines])
         self.joints.set_data(*mean[sorted({place for line in lines for place in line})][:, self.view].T)
@@ -260,6 +292,8 @@ def still_parts(
     ]
     if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
+    if "contact_force" in idata["posterior"]:
+        entries.append(Line2D([], [], color=GREEN, linewidth=2, label="force"))
     entries += unseen_entry(idata)
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()

@@ -1,7 +1,8 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands.
 
-Each joint has a row with its angle (rad) and its torque (N·m). Next to them each tracked keypoint has a row, or a point
-of the body where none was tracked: observed and predicted, in the recording's length unit. Rows that tell nothing of a
+Each joint has a row with its angle (rad) and its torque (N·m), and below them each contact that acts one with its force
+(N) and its centre of pressure (m). Next to them each tracked keypoint has a row, or a point of the body where none was
+tracked: observed and predicted, in the recording's length unit. Rows that tell nothing of a
 coordinate are hatched: what is drawn there is the prior. Rows in which the filters kept few effective particles are
 marked below the torques: bands there differ from one seed to the next. A panel shows what nearly all rows hold, and a
 triangle at its edge says where a curve or a point leaves it.
@@ -30,6 +31,7 @@ from invdyn.recordings import atomic_path
 
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = COLORS
 METHOD_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#CC79A7")
+AXIS_COLORS = {"x": BLUE, "y": VERMILION, "z": GREEN}
 INK, GREY = "#111111", "#777777"
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of draws: bands of 90 and 50 %, median
 UNSEEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0}
@@ -53,7 +55,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     group = "posterior_predictive" if predicted else "posterior"
     shown = slice(None) if predicted else slice(-len(joints), None)  # a robot's file may name many points
     keypoints, tips = idata[group]["keypoint"].values[shown], quantiles(idata, "position", group)[:, :, shown]
-    rows = max(len(joints), len(keypoints))
+    contacts = acting(idata)
+    rows = max(len(joints) + len(contacts), len(keypoints))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 1.9 * rows + 1.0), layout="constrained")
         grid = figure.add_gridspec(rows, 3)
@@ -61,7 +64,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
             axes = figure.add_subplot(grid[row, 0])
             axes.set_title(f"{keypoint} keypoint", loc="left")
             axes.set_ylabel(posterior["position"].attrs["units"])
-            spaces = list(zip(range(tips.shape[-1]), (BLUE, VERMILION, GREEN), strict=False))
+            spaces = [(k, AXIS_COLORS[str(name)]) for k, name in enumerate(posterior["space"].values)]
             for space, color in spaces:
                 draw_bands(axes, time, tips[:, :, row, space], color)
             for space, color in spaces if "position" in observed else ():  # over all bands
@@ -85,6 +88,14 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 if f"truth_{name}" in known:
                     draw_truth(axes, time, known[f"truth_{name}"].values[:, row])
                 limit_to_usual(axes, time)
+        for row, contact in enumerate(contacts, len(joints)):
+            for column, name in enumerate(OF_CONTACT, 1):
+                axes = figure.add_subplot(grid[row, column])
+                axes.set_title(f"{contact} {OF_CONTACT[name]}", loc="left")
+                axes.set_ylabel(posterior[name].attrs["units"])
+                for bands, color in zip(contact_bands(idata, name, contact), AXIS_COLORS.values(), strict=True):
+                    draw_bands(axes, time, bands, color)
+                limit_to_usual(axes, time)
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
             place = axes.get_subplotspec()
@@ -97,6 +108,29 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
         figure.legend(handles=legend_entries(idata), loc="outside upper left", ncols=10)
         figure.supxlabel(heading(idata), x=0.995, ha="right", fontsize=8.5, color=GREY)
     return figure
+
+
+OF_CONTACT = {"contact_force": "force", "centre_of_pressure": "centre of pressure"}
+ACTS = 1.0
+"""N, median force of a contact in some row, from which on it has panels."""
+
+
+def acting(idata: az.InferenceData) -> list[str]:
+    """Names of the contacts that act."""
+    if "contact_force" not in idata["posterior"]:
+        return []
+    force = pooled(idata)["contact_force"].transpose("sample", "time", "axis", "contact")
+    most = np.median(np.linalg.norm(force.values, axis=2), axis=0).max(0)
+    return [str(name) for name in force["contact"].values[most > ACTS]]
+
+
+def contact_bands(idata: az.InferenceData, name: str, contact: str) -> np.ndarray:
+    """QUANTILES (axis, 5, time) of a contact's variable; NaN in rows in which it has none in half of the draws."""
+    draws = pooled(idata)[name].sel(contact=contact).transpose("axis", "time", "sample").values
+    known = np.isfinite(draws).mean(-1) > 0.5
+    found = np.full((len(QUANTILES), *known.shape), np.nan)
+    found[:, known] = np.nanquantile(draws[known], QUANTILES, axis=-1)
+    return found.swapaxes(0, 1)
 
 
 MAX_PANELS = 8
@@ -301,9 +335,9 @@ def heading(idata: az.InferenceData) -> str:
 def legend_entries(idata: az.InferenceData) -> list[Artist]:
     """Only what the figure shows; colours belong to the panels, so bands and lines stand here in grey."""
     known = idata["constant_data"]
-    axes = list(zip("xyz", (BLUE, VERMILION, GREEN), strict=True))[: idata["posterior"]["position"].sizes["space"]]
+    drawn = {*idata["posterior"]["space"].values.tolist(), *(AXIS_COLORS if acting(idata) else ())}
     entries: list[Artist] = [
-        *(Line2D([], [], color=color, linewidth=2, label=axis) for axis, color in axes),
+        *(Line2D([], [], color=AXIS_COLORS[axis], linewidth=2, label=axis) for axis in AXIS_COLORS if axis in drawn),
         Line2D([], [], color=GREY, linestyle="none", marker=".", label="observed"),
         Line2D([], [], color=GREY, linewidth=1.2, label="posterior median"),
         Patch(color=GREY, alpha=0.55, linewidth=0, label="50 %"),

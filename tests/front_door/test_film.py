@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from PIL import Image
@@ -13,11 +14,12 @@ from invdyn.film import (
     MAX_SHOWN_FRAMES,
     arm_points,
     film_frames,
+    pushes,
     save_film,
     shown_frames,
     still_parts,
 )
-from invdyn.plots import VERMILION
+from invdyn.plots import GREEN, VERMILION
 from invdyn.recordings import InputError
 
 
@@ -75,6 +77,24 @@ def test_observed_joints_are_drawn_where_seen_only(make_posterior):
     # the trail is fainter, and the legend's own dot is in both
     unseen_pixels, seen_pixels = (np.abs(frame - color).max(axis=-1) < 40 for frame in frames)
     assert seen_pixels.sum() > 1.5 * unseen_pixels.sum() > 0
+
+
+def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
+    """The largest is .3 of the size long; where a pair does not touch there is none."""
+    idata = make_posterior(1, num_frames=4, num_filters=2, num_draws=1)
+    centre = np.full((2, 1, 4, 1, 3), [0.5, -0.2, 7.0])
+    centre[:, :, 1], centre[0, :, 2] = np.nan, np.nan
+    force = np.full(centre.shape, [0.0, 5.0, 0.0])
+    force[:, :, 0] = [0.0, 10.0, 0.0]
+    of = {"dims": ("chain", "draw", "time", "contact", "axis"), "coords": {"contact": ["floor-foot"]}}
+    idata.posterior["contact_force"] = xr.DataArray(force, **of)
+    idata.posterior["centre_of_pressure"] = xr.DataArray(centre, **of)
+    lines = pushes(idata, size=2.0)[:, 0]
+    np.testing.assert_allclose(lines[[0, 2]], [[[0.5, -0.2], [0.5, 0.4]], [[0.5, -0.2], [0.5, 0.1]]])
+    assert np.isnan(lines[1]).all()
+    pushed, free = film_frames(idata, np.array([0, 1]))
+    green = [np.all(frame == np.round(255 * np.array(to_rgb(GREEN))), axis=-1).sum() for frame in (pushed, free)]
+    assert green[0] > green[1] + 50  # those of the legend are in both
 
 
 def test_time_line_moves_with_time(make_posterior):

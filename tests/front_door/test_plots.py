@@ -3,11 +3,12 @@
 import arviz as az
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
-from invdyn.plots import plot_posterior, quantiles, save_figure, usual_range
+from invdyn.plots import AXIS_COLORS, plot_posterior, quantiles, save_figure, usual_range
 
 
 def panel(figure, title):
@@ -20,7 +21,7 @@ def texts(figure):
     return [text.get_text() for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize("num_joints", range(1, 7))
+@pytest.mark.parametrize("num_joints", [1, 2, 6])
 def test_every_joint_has_its_panels_with_units(make_posterior, num_joints):
     idata = make_posterior(num_joints)
     figure = plot_posterior(idata)
@@ -104,13 +105,36 @@ def test_the_legend_names_as_many_axes_as_there_are(make_posterior, number):
     idata = make_posterior(2)
     if number == 3:
         groups = {
-            name: idata[name].pad(space=(0, 1), constant_values=0.5)
+            name: idata[name].pad(space=(0, 1), constant_values=0.5).assign_coords(space=list("xyz"))
             for name in idata.groups()
             if "space" in idata[name].dims
         }
         for name, group in groups.items():
             idata[name] = group
     assert texts(plot_posterior(idata))[: number + 1] == [*"xyz"[:number], "observed"]
+
+
+def test_contacts_that_act_have_panels_of_force_and_centre(make_posterior):
+    """In the colours of axes; a centre has a gap where half of the draws do not touch."""
+    idata = make_posterior(2)
+    drawn, rng = idata.posterior.torque.transpose("chain", "draw", "time", "joint"), np.random.default_rng(0)
+    shape = (*drawn.shape[:3], 2, 3)
+    force = rng.normal([0, 0, 20], 1, shape) * np.array([1, 0])[:, None]  # the second never acts
+    centre = rng.normal(0, 0.01, shape)
+    centre[:, :, 20:30] = np.nan
+    of = {"dims": ("chain", "draw", "time", "contact", "axis")}
+    coords = {"contact": ["floor-foot", "floor-knee"], "axis": list("xyz")}
+    for name, values, unit in (("contact_force", force, "N"), ("centre_of_pressure", centre, "m")):
+        idata.posterior[name] = xr.DataArray(values, **of, coords=coords, attrs={"units": unit})
+    figure = plot_posterior(idata)
+    assert len(figure.axes) == 2 + 2 * 3
+    pushed, place = panel(figure, "floor-foot force"), panel(figure, "floor-foot centre of pressure")
+    assert [pushed.get_ylabel(), place.get_ylabel()] == ["N", "m"]
+    assert [line.get_color() for line in pushed.get_lines()[:3]] == list(AXIS_COLORS.values())
+    median = np.median(force.reshape(-1, *shape[2:]), 0)
+    np.testing.assert_allclose(pushed.get_lines()[2].get_ydata(), median[:, 0, 2])
+    assert np.flatnonzero(np.isnan(place.get_lines()[0].get_ydata())).tolist() == list(range(20, 30))
+    assert texts(figure)[:3] == ["x", "y", "z"]
 
 
 def test_encoders_alone_are_enough(make_posterior):
