@@ -158,8 +158,8 @@ def test_other_lines_are_refused(line):
         list(rows(iter([line]), ["time", "a"], raised))
 
 
-class Brightest:
-    """A network that finds the brightest place of pictures of 60 × 80 px, and is unsure of another one."""
+class Reddest:
+    """A network that finds the reddest place of pictures of 60 × 80 px, and is unsure of another one."""
 
     keypoint_names, picture_size = ("elbow", "wrist"), (60, 80)
 
@@ -174,13 +174,13 @@ def test_the_guides_camera_gives_rows_in_metres(tmp_path, monkeypatch):
     path, names = str(tmp_path / "spot.avi"), {}
     film = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 25, (160, 120))
     for n in range(10):
-        picture = np.zeros((120, 160, 3), np.uint8)
+        picture = np.full((120, 160, 3), (255, 0, 0), np.uint8)  # blue
         cv2.circle(picture, (40 + 4 * n, 80 - 2 * n), 3, (0, 0, 255), -1)
         film.write(picture)
     film.release()
     (block,) = (each for each in blocks(ROOT / "docs" / "how-to" / "live.md", "python") if "camera_rows" in each)
     exec(block, names)
-    monkeypatch.setattr(names["HeatmapTracker"], "load", lambda path: Brightest())
+    monkeypatch.setattr(names["HeatmapTracker"], "load", lambda path: Reddest())
     found = list(names["camera_rows"](path, "network", 0.01, (40, 80)))
     assert np.diff([time for time, _ in found]) == pytest.approx(np.full(9, 0.04))
     assert [row["elbow_x"] for _, row in found] == pytest.approx(np.arange(10) * 0.04, abs=0.03)
