@@ -29,15 +29,16 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
 
     Raises InputError where fewer than two trials have the event within them, or a joint in common.
     """
-    own = [
-        place
+    about = {
+        place: part["time"].numpy()[[0, -1]] - trials[place].events.get(align, np.nan)
         for place, part in posteriors.items()
-        if _covers(part, trials[place].events.get(align, np.nan)) and trials[place].factors.get(factor)
-    ]
+        if trials[place].factors.get(factor)
+    }
+    own = [place for place, (first, last) in about.items() if first <= 0 <= last]  # of NaN neither
     if len(own) < MIN_TRIALS:
         raise InputError(f"expected {MIN_TRIALS} trials or more with event {align!r} within them, got {len(own)}")
     levels = np.array([trials[place].factors[factor] for place in own])
-    ends = np.array([_ends(posteriors[place]) - trials[place].events[align] for place in own])
+    ends = np.array([about[place] for place in own])
     begin = max(np.median(ends[levels == level, 0]) for level in np.unique(levels))
     end = min(np.median(ends[levels == level, 1]) for level in np.unique(levels))
     times = np.unique(np.linspace(begin, end, TIMES))  # one where all begin or end at the event
@@ -63,15 +64,6 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
     if not rows:
         raise InputError(f"expected a joint that {MIN_TRIALS} trials or more with event {align!r} have, got none")
     return pd.DataFrame(rows)
-
-
-def _ends(part: Tensors) -> np.ndarray:
-    return part["time"].numpy()[[0, -1]]
-
-
-def _covers(part: Tensors, when: float) -> bool:
-    first, last = _ends(part)
-    return bool(first <= when <= last)  # of NaN neither
 
 
 def _aligned(part: Tensors, times: np.ndarray) -> dict[str, np.ndarray]:

@@ -27,7 +27,7 @@ needed of μ is a mixture of normals. Nothing is random: the same numbers give t
 Shapes: n trials, C conditions, G sets of τ, q = C + all groups.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -143,9 +143,8 @@ def pool(
         raise ValueError(f"expected {MIN_TRIALS} trials or more with finite estimates, got {y} with errors {s}")
     middle = float(y.mean())
     levels, own = np.unique(np.asarray(condition, str), return_inverse=True)
-    groups = groupings(condition, subject, session)
-    whose = {"subject": _numbered(list(zip(subject, strict=True)))}
-    whose["session"] = _numbered(list(zip(subject, session, strict=True)))
+    groups, all_groups = groupings(condition, subject, session), _all_groups(condition, subject, session)
+    whose = {name: all_groups[name] for name in ("subject", "session")}
     scale, *others = _prior_scales(y, s, own, whose, groups)
     log_scale = np.log([OF_TRIALS * scale, *others]) - np.log(scale)
     y, s = (y - middle) / scale, np.maximum(s / scale, MIN_SD)
@@ -173,16 +172,9 @@ def pool(
 
 def groupings(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> dict[str, np.ndarray]:
     """Group (n,) of each trial by each grouping that the design tells from conditions, trials, and the ones before."""
-    pairs: dict[str, list[tuple]] = {
-        "subject": list(zip(subject, strict=True)),
-        "subject × condition": list(zip(subject, condition, strict=True)),
-        "session": list(zip(subject, session, strict=True)),
-        "session × condition": list(zip(subject, session, condition, strict=True)),
-    }
     found: dict[str, np.ndarray] = {}
-    known = [_numbered(list(zip(condition, strict=True))), np.arange(len(condition))]
-    for name, labels in pairs.items():
-        number = _numbered(labels)
+    known = [_numbered(condition), np.arange(len(condition))]
+    for name, number in _all_groups(condition, subject, session).items():
         if number.max() > 0 and not any(np.array_equal(number, other) for other in known):
             found[name] = number
             known.append(number)
@@ -191,16 +183,21 @@ def groupings(condition: Sequence[str], subject: Sequence[str], session: Sequenc
 
 def confounded(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> str:
     """What each condition has one of its own of, "subject" or "session", so that its effect may be theirs; else ""."""
-    own = _numbered(list(zip(condition, strict=True)))
-    pairs: dict[str, list[tuple]]
-    pairs = {"subject": list(zip(subject, strict=True)), "session": list(zip(subject, session, strict=True))}
-    same = [name for name, labels in pairs.items() if np.array_equal(_numbered(labels), own)]
+    own, groups = _numbered(condition), _all_groups(condition, subject, session)
+    same = [name for name in ("subject", "session") if np.array_equal(groups[name], own)]
     return same[0] if same and own.max() > 0 else ""
 
 
-def _numbered(labels: list[tuple]) -> np.ndarray:
+def _all_groups(condition: Sequence[str], subject: Sequence[str], session: Sequence[str]) -> dict[str, np.ndarray]:
+    """Group (n,) of each trial by each grouping; sessions of two subjects differ even if they share a name."""
+    cells = {"subject × condition": zip(subject, condition, strict=True), "session": zip(subject, session, strict=True)}
+    labels = {"subject": subject, **cells, "session × condition": zip(subject, session, condition, strict=True)}
+    return {name: _numbered(each) for name, each in labels.items()}
+
+
+def _numbered(labels: Iterable[Hashable]) -> np.ndarray:
     """Groups numbered in the order in which they come."""
-    numbers: dict[tuple, int] = {}
+    numbers: dict[Hashable, int] = {}
     return np.array([numbers.setdefault(label, len(numbers)) for label in labels])
 
 

@@ -74,7 +74,7 @@ def statistics(values: Mapping[str, tuple[np.ndarray, str]]) -> np.ndarray:
     for name, (drawn, _) in values.items():
         of_peak = name in OF_PEAK
         there = np.isfinite(drawn) & (usual if of_peak else True)
-        missing = (there.mean(0) <= 0.5) | (of_peak & (usual.mean(0) < ONE_SIGN))
+        missing = (there.mean(0) < 0.5) | (of_peak & (usual.mean(0) < ONE_SIGN))
         own = np.where(missing, 0.0, np.where(there, drawn, np.nan))
         numbers = [np.nanmean(own, 0), np.nanstd(own, 0), *np.nanquantile(own, (0.05, 0.5, 0.95), axis=0)]
         rows.append(np.where(missing[:, None], np.nan, np.stack(numbers, -1)))

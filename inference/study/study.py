@@ -175,7 +175,7 @@ class Study:
             found = []
             groups = self.table.groupby(["joint", "quantity", "unit"], sort=False) if len(self.table) else ()
             for what, rows in groups:
-                rows = rows[np.isfinite(rows["mean"]) & (rows[factor] != "")]
+                rows = rows[np.isfinite(rows["mean"]) & (rows[factor].fillna("") != "")]
                 if len(rows) < MIN_TRIALS:
                     continue
                 labels = [rows[name].tolist() for name in (factor, "subject", "session")]

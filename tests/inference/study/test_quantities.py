@@ -14,6 +14,8 @@ def test_onset_is_the_last_row_under_a_tenth_of_the_peak():
     bump = np.array([0, 0.5, 0.19, 0.21, 1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.1])
     both = np.stack([bump, -bump], axis=-1)[None]
     assert onset(TIME, both) == pytest.approx(np.full((1, 2), 0.2))
+    other_sign, first_row = (np.array([begin, 0.5, second, 0.5, *[2.0] * 7]) for begin, second in ((0, -1), (0.1, 0.5)))
+    assert onset(TIME, np.stack([other_sign, first_row], axis=-1)[None]) == pytest.approx(np.array([[0.2, 0.0]]))
 
 
 def test_a_trial_that_begins_under_load_has_no_onset():
@@ -38,6 +40,7 @@ def test_times_count_from_the_first_row():
         assert found["peak_time"][0] == pytest.approx(np.full((2, 1), 0.5))
         assert found["onset"][0] == pytest.approx(np.full((2, 1), 0.2))
         assert found["at touch"][0] == pytest.approx(np.full((2, 1), 0.65))
+        assert [found[name][1] for name in ("peak_time", "onset", "at touch")] == ["s", "s", "N·m"]
 
 
 def drawn(peaks):
@@ -50,6 +53,7 @@ def test_a_peak_of_either_sign_is_missing_and_the_impulse_is_not():
     numbers = statistics(drawn([2.0] * 74 + [-2.0] * 26))
     assert np.isnan(numbers[[0, 1, 3, 4]]).all()
     assert numbers[2, 0, STATISTICS.index("mean")] == pytest.approx(0.96)
+    assert np.isfinite(statistics(drawn([2.0] * 75 + [-2.0] * 25))).all()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -67,8 +71,9 @@ def test_statistics_are_those_of_the_draws():
 
 
 def test_what_most_draws_lack_is_missing():
-    some = np.where(np.arange(100) < 49, 1.0, np.nan)[:, None]
-    values = {**drawn(np.ones(100)), "onset": (some, "s")}
-    assert np.isnan(statistics(values)[-1]).all()
+    for count in (49, 50):
+        some = np.where(np.arange(100) < count, 1.0, np.nan)[:, None]
+        values = {**drawn(np.ones(100)), "onset": (some, "s")}
+        assert np.isnan(statistics(values)[-1]).all() == (count == 49)
     values["onset"] = (np.where(np.arange(100) < 60, np.arange(100.0), np.nan)[:, None], "s")
     assert statistics(values)[-1, 0, 0] == pytest.approx(29.5)

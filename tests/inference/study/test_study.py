@@ -29,7 +29,7 @@ from invdyn.inference.study.work import (
     words,
 )
 from invdyn.inputs import load_body
-from invdyn.models import SmoothAndRough
+from invdyn.models import SmoothAndRough, planar_body
 from invdyn.recordings import InputError, load, read_sto
 from invdyn.simulate import random_arm, record
 from invdyn.study_commands import study_text
@@ -356,6 +356,59 @@ def test_a_few_draws_far_off_do_not_widen_a_trials_error():
     assert error[1] == pytest.approx(error[0], rel=0.2)
 
 
+def test_tables_say_of_how_many_trials_and_in_which_unit():
+    """Of six, two lack the condition. It changes the first joint, and the second one shifts."""
+    numbers = torch.tensor([0.0, 0.1, -0.1645, 0.0, 0.1645]) + torch.zeros(1, 2, 5)  # a sd of 0.1
+    effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0]) * torch.tensor([[1.0], [0.0]])
+    study = of_parts([{**made(i), "statistics": numbers + effect * (i % 2)} for i in range(6)])
+    for part in study.posteriors.values():
+        part |= words(**said(part) | {"turns": [True, False]})
+    others = [replace(study.trials[4], factors={}), replace(study.trials[5], factors={"condition": ""})]
+    study = replace(study, trials=(*study.trials[:4], *others))
+    difference = study.difference().set_index("joint")
+    assert difference["found"].to_dict() == {"shoulder": True, "elbow": False}
+    assert set(difference["trials"]) == {4}
+    assert difference["unit"].to_dict() == {"shoulder": "N·m", "elbow": "N"}
+    assert study.summary().groupby("condition")["trials"].unique().to_dict() == {"x": [2], "y": [2]}
+    averages = study.averages("touch")
+    assert set(averages["trials"]) == {2}
+    assert averages.groupby("joint")["unit"].unique().to_dict() == {"shoulder": ["N·m"], "elbow": ["N"]}
+    shared = (((0, 1), {"value torque.scale": torch.tensor([1.0, 2.0]), **words(notes=[])}),)
+    parameters = replace(study, sessions=shared).parameters
+    assert parameters[["trials", "entry", "value"]].to_numpy().tolist() == [[2, 0, 1.0], [2, 1, 2.0]]
+
+
+def test_a_sessions_file_holds_trials_of_any_length(tmp_path):
+    """The second of four has 15 rows of 20; the last of them begins later, and its event is not within it."""
+    parts = [made(i, begin=0.6 * (i == 3)) for i in range(4)]
+    rows = {"torque", "angle", "velocity"}
+    parts[1] |= {name: parts[1][name][:, :15] for name in rows} | {
+        n: parts[1][n][:15] for n in ("time", "mean", "spread")
+    }
+    for part in parts:
+        part |= words(**said(part) | {"turns": [True, False]})
+    study = of_parts(parts)
+    ends = [part["time"][-1].item() - 0.5 for part in parts[:3]]
+    assert study.averages("touch")["time"].max() == pytest.approx(min(np.median(ends[::2]), ends[1]))
+    labelled = [
+        replace(trial, subject="s", factors={**trial.factors, "hand": "lr"[i // 2]})
+        for i, trial in enumerate(study.trials)
+    ]
+    files = replace(study, trials=tuple(labelled)).save(tmp_path / "out")
+    assert {"summary_condition.csv", "differences_hand.csv"} < {file.name for file in files}
+    assert (pd.read_csv(tmp_path / "out" / "averages_touch.csv")["condition"] == "x").any()
+    with xr.open_dataset(tmp_path / "out" / "posteriors" / "s_1.nc", engine="h5netcdf") as data:
+        assert data.attrs["subject"] == "s"
+        assert data["event_touch"].values.tolist() == [0.5] * 4
+        short = data["torque"].sel(trial="t1").values
+        assert short[:, :15] == pytest.approx(parts[1]["torque"].numpy())
+        assert np.isnan(short[:, 15:]).all()
+        assert data["angle"].attrs["units"] == "rad"
+    columns = read_sto(tmp_path / "out" / "sto" / "t2.sto")
+    assert columns["shoulder_moment"] == pytest.approx(np.median(parts[2]["torque"][:, :, 0], axis=0), rel=1e-5)
+    assert "elbow_force" in columns
+
+
 def test_a_difference_that_may_be_the_subjects_says_so(tmp_path):
     numbers = torch.tensor([0.0, 0.1, -0.1645, 0.0, 0.1645]) + torch.zeros(1, 2, 5)  # a sd of 0.1
     effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0])
@@ -417,6 +470,12 @@ def test_an_event_at_every_trial_s_end_or_begin_has_one_time(tmp_path):
     view_of(tmp_path / "out").html()
 
 
+def test_an_event_that_is_never_is_nan_and_not_infinite():
+    assert np.isnan(Trial("t", None, None, events={"touch": np.nan}).events["touch"])
+    with pytest.raises(InputError, match="expected the time of event 'touch' in s, got -inf"):
+        Trial("t", None, None, events={"touch": -np.inf})
+
+
 @pytest.mark.parametrize("factor", ["", "joint", "time", "event_touch", "left/right"])
 def test_a_factor_that_files_cannot_name_is_refused(factor):
     with pytest.raises(InputError, match="name of"):
@@ -437,6 +496,21 @@ def test_tracks_of_other_points_share_nothing(trials):
     fits = dict.fromkeys(range(3), words(notes=[]))
     assert _groups([first, trials[1], other], fits) == [(0, 1), (2,)]
     assert _fingerprint([first], HOW) != _fingerprint([replace(other, name=first.name)], HOW)
+
+
+def test_what_changes_the_numbers_changes_a_checkpoint_and_bodies_share_nothing(trials):
+    first = trials[0]
+    heavy = replace(first, name="h", body=planar_body("b", [replace(link, mass=2.0) for link in BODY.links]))
+    later = replace(first, events={"touch": 0.5})
+    moved = replace(first, recording=first.recording.with_keypoints(first.recording.keypoint_names[:1]))
+    own = _fingerprint([first], HOW)
+    for other in ([replace(heavy, name=first.name)], [later], [moved]):
+        assert _fingerprint(other, HOW) != own
+    assert _fingerprint([first], replace(HOW, seed=1)) != own
+    fits = dict.fromkeys(range(2), words(notes=[]))
+    assert _groups([first, heavy], fits) == [(0,), (1,)]
+    other = words(notes=[]) | {"value torque.scale": torch.ones(3)}
+    assert _groups([first, trials[1]], {0: fits[0], 1: other}) == [(0,), (1,)]
 
 
 @pytest.mark.parametrize("given", [[], [simulated(0), simulated(0)]], ids=["none", "two of one name"])
