@@ -359,7 +359,7 @@ def test_a_few_draws_far_off_do_not_widen_a_trials_error():
 def test_tables_say_of_how_many_trials_and_in_which_unit():
     """Of six, two lack the condition. It changes the first joint, and the second one shifts."""
     numbers = torch.tensor([0.0, 0.1, -0.1645, 0.0, 0.1645]) + torch.zeros(1, 2, 5)  # a sd of 0.1
-    effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0]) * torch.tensor([[1.0], [0.0]])
+    effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0]) * torch.tensor([[1.0], [0.01]])
     study = of_parts([{**made(i), "statistics": numbers + effect * (i % 2)} for i in range(6)])
     for part in study.posteriors.values():
         part |= words(**said(part) | {"turns": [True, False]})
