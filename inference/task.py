@@ -49,7 +49,9 @@ from invdyn.recordings import InputError, Recording, Truth
 MIXED = frozenset({"bootstrap", *BATCHED})
 """Methods that have draws of several torque processes and their parameters; others have the most probable ones."""
 NUM_SETS = 16
-"""Sets that particle filters take at most: each takes a guide of its own, a Gaussian smoother little."""
+"""Sets at most, as each takes a guide of its own. The 5 % and 95 % quantiles of 16 torques hold .79 of the next one: of
+bodies that differ a Gaussian smoother, which needs no guide, has as many as chains.
+"""
 SETS = 5_505_505
 """Place of the random numbers of process and parameters (:func:`.seeds.derived`)."""
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
@@ -197,11 +199,12 @@ class Task:
     ) -> tuple[Callable[..., az.InferenceData], list[ParameterSet]]:
         """The method over sets of process and parameters, and these sets."""
         joints, options = self.problem.model.body.num_joints, self.options
-        count = min(options.num_filters if method == "laplace" else NUM_SETS, options.num_filters)
-        if not any(map(_of_priors(self.problem.model.body), self.free)):  # a body's numbers are shown as draws, too
-            # Torques come first, angles and velocities last.
-            shown = [*range(joints), *range(-2 * joints, 0)]
-            count = min(count, sets_needed(candidates, shown, options.num_filters * options.num_draws))
+        # Torques come first, angles and velocities last.
+        shown = [*range(joints), *range(-2 * joints, 0)]
+        count = min(NUM_SETS, sets_needed(candidates, shown, options.num_filters * options.num_draws))
+        if any(map(_of_priors(self.problem.model.body), self.free)):  # whose numbers are shown as draws, too
+            count = options.num_filters if method == "laplace" else NUM_SETS
+        count = min(count, options.num_filters)
         with seeded(derived(self.seed, SETS)):
             sets = parameter_draws(candidates, self.problem.observations, count)
         one_by_one, model = partial(over_sets, method, sets=sets, together=False), self.problem.model
