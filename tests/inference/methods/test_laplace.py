@@ -34,7 +34,7 @@ def test_an_uncertain_body_is_integrated_out():
     sizes = {"num_filters": 20, "num_draws": 50, "settings": KNOWN, "seed": 1}
     idata = infer(record(), arm, method="laplace", **sizes)
     assert idata["posterior"].sizes["chain"] == 20  # of 50 draws each
-    assert len(np.unique(idata["posterior"]["mass"])) > 15
+    assert len(np.unique(idata["posterior"]["mass"])) > 16  # as many sets as chains, less what is drawn twice
     fixed = infer(record(), planar_body("arm", [Link("l", **link)]), method="laplace", **sizes)
     wide, narrow = (pooled(i)["torque"].std("sample").mean().item() for i in (idata, fixed))
     assert wide > 1.1 * narrow

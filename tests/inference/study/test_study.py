@@ -98,6 +98,24 @@ def test_a_session_shares_one_set_of_parameters(study, trials):
     assert min(noise) < shared < max(noise)
 
 
+@pytest.mark.long
+def test_a_session_shares_its_body(trials, monkeypatch):
+    """Links known to a tenth, stated too long; a trial draws them from what all rows of the session tell."""
+    stated = replace(BODY, links=[replace(link, length=1.06 * link.length) for link in BODY.links])
+    own = [replace(trial, body=replace(stated, uncertainty={"length": 0.1})) for trial in trials[:2]]
+    fits = [fit_trial(trial, HOW) for trial in own]
+    shared = share_session(own, fits, HOW)
+    wide, narrow = (part["covariance"].diagonal()[-2:].sqrt() for part in (fits[0], shared))
+    assert (narrow < 0.9 * wide).all()
+    drawn = []
+    task = work.Task
+    monkeypatch.setattr(work, "Task", lambda *given: drawn.append(task(*given)) or drawn[-1])
+    assert said(infer_trial(own[0], HOW, fits[0], shared, 0))["notes"] == []
+    assert drawn[0].candidates[0].of_more_rows
+    assert said(infer_trial(own[0], HOW, fits[0], fits[0], 0))["notes"] == []
+    assert not drawn[1].candidates[0].of_more_rows
+
+
 def test_a_posterior_is_at_the_parameters_of_its_session(trials, monkeypatch):
     """What the trial's own fit found is where its path begins; what its session does not explain is left out."""
     fit = fit_trial(trials[0], HOW)
