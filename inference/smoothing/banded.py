@@ -20,6 +20,7 @@ Shapes: as in :mod:`.square_root`, without batch. N must be regular.
 from collections.abc import Callable
 
 import numpy as np
+import torch
 from scipy.linalg.blas import dtbsv
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
@@ -50,7 +51,8 @@ def chain_posterior(
     roots = np.concatenate([L[:1], noise_roots(L[1:], V)])
     if not (np.diagonal(roots, axis1=-2, axis2=-1) != 0).all():
         raise Singular("expected noise in every state; the recursions of square_root.py take chains without")
-    inverse = np.linalg.inv(roots)
+    eye = torch.eye(roots.shape[-1], dtype=torch.float64)
+    inverse = torch.linalg.solve_triangular(torch.as_tensor(roots), eye, upper=False).numpy()
     back = inverse[1:] @ F
     within = _gram(inverse) + _gram(E)
     within[:-1] += _gram(back)
@@ -108,17 +110,17 @@ def _refined(
 
 
 def _band(within: np.ndarray, off_diagonal: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Lower band (2D, T·D) of a scaled block-tridiagonal matrix: its blocks (T, D, D), and those below (T−1, D, D)."""
+    """Lower band (2D, T·D) of a scaled block-tridiagonal matrix: its blocks (T, D, D), and those below (T−1, D, D).
+
+    LAPACK's columns are contiguous: column k of a block holds its D − k rows, the D of the block below, and k zeros.
+    """
     steps, dim = unit.shape
-    within = within * unit[:, :, None] * unit[:, None, :]
-    off_diagonal = off_diagonal * unit[1:, :, None] * unit[:-1, None, :]
-    band = np.zeros((2 * dim, steps * dim))
-    first = np.arange(steps)[:, None] * dim
-    row, column = np.tril_indices(dim)
-    band[row - column, first + column] = within[:, row, column]
-    row, column = np.indices((dim, dim)).reshape(2, -1)
-    band[dim + row - column, first[:-1] + column] = off_diagonal[:, row, column]
-    return band
+    columns = np.zeros((steps, dim, 2 * dim))
+    for k in range(dim):
+        own = unit[:, k, None]
+        columns[:, k, : dim - k] = within[:, k:, k] * unit[:, k:] * own
+        columns[:-1, k, dim - k : 2 * dim - k] = off_diagonal[:, :, k] * unit[1:] * own[:-1]
+    return columns.reshape(steps * dim, 2 * dim).T
 
 
 def _gram(matrix: np.ndarray) -> np.ndarray:
