@@ -45,7 +45,7 @@ logarithm of sd s ends some d² s from the optimum: its gain of ½ d² nats is a
 Under heavy tails no step is left, and at most so many nats."""
 
 FRESH = 3
-"""Evaluations between two whole Hessians of many parameters: of fifteen a whole one costs as much as four others."""
+"""Evaluations before a whole Hessian of many parameters: of fifteen one costs as much as four others."""
 
 SETS_AT_ONCE, ROWS_AT_ONCE = 32, 20_000
 """Parameter sets that are computed at once, and their rows: more are hardly quicker, and take memory."""
@@ -70,8 +70,11 @@ class Objective(Generic[M]):
         self._moves: tuple[np.ndarray, np.ndarray] | None = None
         self._noise = np.random.default_rng(0).standard_normal((len(observations), model.state_dim))
         # The last Hessian all of whose entries were computed, and how many evaluations ago that was.
-        self._whole: np.ndarray | None = None
+        self._whole = np.eye(len(self.sd))
         self._age = 0
+        # What the last evaluation was linearised over; of its evidences, and the Hessian's diagonal, what pairs need.
+        self._over: tuple[Tensor, Tensor]
+        self._alone: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def at(self, phi: np.ndarray) -> M:
         """See :meth:`LogParameters.at`."""
@@ -107,11 +110,12 @@ class Objective(Generic[M]):
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
         _, gradient, hessian = self._evaluate(phi)
         if not self.heavy:
-            if self._age == 0:
-                return hessian
-            self._whole = None
-            with diverging():
-                return self._expand(phi)[2]
+            if self._age:
+                with diverging():
+                    pairs, _ = self._shifted(phi, _pairs(len(phi)), *self._over, 0)
+                hessian = self._paired(pairs)
+                self._known = phi.tobytes(), (self.value(phi), gradient, hessian)
+            return hessian
         steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
         rows, found = np.zeros_like(hessian), self.path
         try:
@@ -136,7 +140,7 @@ class Objective(Generic[M]):
                 if self._known is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.
-                self.path, self._whole = reached, None
+                self.path = reached
                 return 1e10, np.zeros_like(phi), np.eye(len(phi))
             self._known = (phi.tobytes(), found)
         return self._known[1]
@@ -145,7 +149,8 @@ class Objective(Generic[M]):
         """Value, gradient and Hessian at φ.
 
         Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are twice as
-        many, they are computed every ``FRESH`` evaluations; in between, the last correlations stand.
+        many, they are computed after ``FRESH`` evaluations, again after as many, and where the search ends; till then
+        the last correlations stand, and at first none.
         """
         model, size = self.at(phi), len(phi)
         # From the last mode always: from the start the search may end at another one, and evidences would not compare.
@@ -154,27 +159,32 @@ class Objective(Generic[M]):
         smoother = posterior_linearisation(model, self.observations, mode, 1)
         self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
 
-        unit = STEP * np.eye(size)
-        few = size * (size - 1) / 2 <= 2 * (2 * size + 1)
-        whole = few or self._whole is None or self._age >= FRESH
-        first, second = np.triu_indices(size if whole else 0, 1)
-        shifts = np.concatenate([np.zeros((1, size)), unit, -unit, unit[first] + unit[second]])
-        covariance = smoother.covariance()
-        evidence, paths = self._shifted(phi, shifts, smoother.path, covariance, 1 + 2 * size)
-        middle, up, down, pairs = np.split(evidence, [1, 1 + size, 1 + 2 * size])
+        unit, pairs = STEP * np.eye(size), _pairs(size)
+        whole = len(pairs) <= 2 * (2 * size + 1) or self._age >= FRESH
+        shifts = np.concatenate([np.zeros((1, size)), unit, -unit, pairs[: len(pairs) if whole else 0]])
+        self._over = smoother.path, smoother.covariance()
+        evidence, paths = self._shifted(phi, shifts, *self._over, 1 + 2 * size)
+        middle, up, down, both = np.split(evidence, [1, 1 + size, 1 + 2 * size])
         slope = (paths[:, 1 : 1 + size] - paths[:, 1 + size :]) / (2 * STEP)
-        self._moves = slope, covariance.diagonal(dim1=-2, dim2=-1).numpy()
+        self._moves = slope, self._over[1].diagonal(dim1=-2, dim2=-1).numpy()
         precision = 1 / self.sd**2
         gradient = phi * precision - (up - down) / (2 * STEP)
-        diagonal = precision - (up + down - 2 * middle) / STEP**2
-        if whole or self._whole is None:
-            hessian = np.diag(diagonal)
-            hessian[first, second] = hessian[second, first] = -(pairs - up[first] - up[second] + middle) / STEP**2
-            self._whole, self._age = hessian, 0
+        self._alone = middle, up, precision - (up + down - 2 * middle) / STEP**2
+        if whole:
+            hessian = self._paired(both)
         else:
-            hessian, self._age = _with_diagonal(self._whole, diagonal), self._age + 1
+            hessian, self._age = _with_diagonal(self._whole, self._alone[2]), self._age + 1
         value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
         return -value, gradient, hessian
+
+    def _paired(self, evidence: np.ndarray) -> np.ndarray:
+        """The whole Hessian (P, P), which is kept, of the log-evidence with two parameters up, (P (P − 1)/2,)."""
+        middle, up, diagonal = self._alone
+        hessian = np.diag(diagonal)
+        first, second = np.triu_indices(len(up), 1)
+        hessian[first, second] = hessian[second, first] = -(evidence - up[first] - up[second] + middle) / STEP**2
+        self._whole, self._age = hessian, 0
+        return hessian
 
     def around(self, phi: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, Tensor]:
         """Log-evidence (B,) at ``others`` (B, P), linearised over the posterior at φ, and where their modes are about.
@@ -239,6 +249,13 @@ class Objective(Generic[M]):
         """The fewest parameter sets that have all means at φ + ``shifts`` (B, P)."""
         fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
         return SharedMeans(self.at(phi + fewer), torch.as_tensor(number))
+
+
+def _pairs(size: int) -> np.ndarray:
+    """Shifts (P (P − 1)/2, P) of two parameters up."""
+    unit = STEP * np.eye(size)
+    first, second = np.triu_indices(size, 1)
+    return unit[first] + unit[second]
 
 
 def _with_diagonal(hessian: np.ndarray, diagonal: np.ndarray) -> np.ndarray:

@@ -295,3 +295,18 @@ def test_a_start_without_finite_slopes_is_one_line(monkeypatch, chain, y, with_p
     path = torch.zeros(STEPS, model.state_dim, dtype=F64) if with_path else None
     with pytest.raises(Diverged, match=r"^the fit cannot start: .* got none"):
         fit(model, torch.as_tensor(y), FREE, start=path)
+
+
+def test_of_many_parameters_the_hessian_is_whole_where_the_search_ends(chain, y):
+    """Till then it may lack correlations. Along a common factor it is what the same roots have, tied."""
+    model, rows = chain.model(STEPS), torch.as_tensor(y)
+    many = Objective(model, rows, [Free("transition_root"), Free("emission_root", sd=0.7)], None)
+    phi = np.zeros(len(many.sd))
+    assert len(phi) > 9
+    assert np.count_nonzero(many.hessian(phi)) == len(phi)
+    found, tied = many.curvature(phi), Objective(model, rows, FREE, None)
+    together = np.stack([np.isin(np.arange(len(phi)), own) for own in many.slices], -1)
+    expected = tied.hessian(np.zeros(2)) - np.diag(tied.sd**-2)
+    along = together.T @ (found - np.diag(many.sd**-2)) @ together
+    assert along == pytest.approx(expected, abs=0.02 * np.abs(expected).max())
+    assert many.hessian(phi) == pytest.approx(found, abs=0)
