@@ -16,11 +16,11 @@ from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.stretched import stretched
 
 
-def _payload(rng: np.random.Generator, s: Scene, place: int, a: float) -> dict:
-    return {"mass": a * between(rng, 0.1, 0.5) * stretched(s.body).mass[s.body.hand[0]]}
-
-
-@mechanism(site="arm", units={"mass": "kg"}, size=_payload)
+@mechanism(
+    site="arm",
+    units={"mass": "kg"},
+    size=lambda rng, s, place, a: {"mass": a * between(rng, 0.1, 0.5) * stretched(s.body).mass[s.body.hand[0]]},
+)
 def payload(world: World, mass: float) -> None:
     """A point mass at the hand's own site."""
     link, site = world.hand
@@ -75,11 +75,7 @@ def gravity_tilt(world: World, angle: float = 0.0, about_x: float = 0.0, about_y
     world.gravity = Rotation.from_rotvec([about_x, about_y, angle]).apply(world.gravity)
 
 
-def _armature(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"inertia": a * between(rng, 0.1, 0.4) * s.inertia[k]}
-
-
-@mechanism(units={"inertia": "kg·m²"}, size=_armature)
+@mechanism(units={"inertia": "kg·m²"}, size=lambda rng, s, k, a: {"inertia": a * between(rng, 0.1, 0.4) * s.inertia[k]})
 def armature(world: World, joint: int, inertia: float) -> None:
     """Iₐ θ̈ on the inertia matrix's diagonal."""
     set_joint(world, joint, armature=inertia)

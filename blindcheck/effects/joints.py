@@ -20,21 +20,16 @@ from invdyn.blindcheck.scene import NONIDEAL_FRACTION, Scene, sign
 from invdyn.blindcheck.simulator import World, set_part
 
 
-def _viscous_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"damping": a * between(rng, 0.04, 0.2) * s.torque[k] / s.speed[k]}
-
-
-@mechanism(units={"damping": "N·m·s/rad"}, size=_viscous_friction)
+@mechanism(
+    units={"damping": "N·m·s/rad"},
+    size=lambda rng, s, k, a: {"damping": a * between(rng, 0.04, 0.2) * s.torque[k] / s.speed[k]},
+)
 def viscous_friction(world: World, joint: int, damping: float) -> None:
     """−b θ̇."""
     set_joint(world, joint, damping=damping)
 
 
-def _coulomb_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"torque": a * between(rng, 0.04, 0.15) * s.torque[k]}
-
-
-@mechanism(units={"torque": "N·m"}, size=_coulomb_friction)
+@mechanism(units={"torque": "N·m"}, size=lambda rng, s, k, a: {"torque": a * between(rng, 0.04, 0.15) * s.torque[k]})
 def coulomb_friction(world: World, joint: int, torque: float) -> None:
     """−τc sgn θ̇, and up to ±τc at rest."""
     set_joint(world, joint, frictionloss=torque)
@@ -96,21 +91,16 @@ def bristles(
     world.on_step(act)
 
 
-def _load_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"coefficient": a * rng.uniform(0.08, 0.3)}
-
-
-@mechanism(units={"coefficient": "1"}, size=_load_friction)
+@mechanism(units={"coefficient": "1"}, size=lambda rng, s, k, a: {"coefficient": a * rng.uniform(0.08, 0.3)})
 def load_friction(world: World, joint: int, coefficient: float) -> None:
     """−k |τset_motor − τ_external| sgn θ̇, with τ_external what gravity, Coriolis and centrifugal forces exert."""
     world.dry(joint, lambda q, qd, load: coefficient * abs(load))
 
 
-def _quadratic_drag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"drag": a * between(rng, 0.03, 0.12) * s.torque[k] / s.speed[k] ** 2}
-
-
-@mechanism(units={"drag": "N·m·s²/rad²"}, size=_quadratic_drag)
+@mechanism(
+    units={"drag": "N·m·s²/rad²"},
+    size=lambda rng, s, k, a: {"drag": a * between(rng, 0.03, 0.12) * s.torque[k] / s.speed[k] ** 2},
+)
 def quadratic_drag(world: World, joint: int, drag: float) -> None:
     """−c θ̇ |θ̇|."""
     world.law(joint, lambda t, q, qd: -drag * qd[joint] * abs(qd[joint]))

@@ -18,21 +18,19 @@ from invdyn.blindcheck.simulator import World, set_part
 ROTOR_SHARE = 0.5  # of a link's inertia about its centre of mass, when there is backlash between motor and link
 
 
-def _actuator_gain(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"gain": a * sign(rng) * rng.uniform(0.1, 0.25)}
-
-
-@mechanism(units={"gain": "1"}, needs=("command",), size=_actuator_gain)
+@mechanism(
+    units={"gain": "1"}, needs=("command",), size=lambda rng, s, k, a: {"gain": a * sign(rng) * rng.uniform(0.1, 0.25)}
+)
 def actuator_gain(world: World, joint: int, gain: float) -> None:
     """(1 + ε) u."""
     set_motor(world, joint, gear=[1 + gain, 0, 0, 0, 0, 0])
 
 
-def _actuator_delay(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"delay": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)}
-
-
-@mechanism(units={"delay": "s"}, needs=("command",), size=_actuator_delay)
+@mechanism(
+    units={"delay": "s"},
+    needs=("command",),
+    size=lambda rng, s, k, a: {"delay": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)},
+)
 def actuator_delay(world: World, joint: int, delay: float) -> None:
     """u(t − T), as a ring buffer of the steps' commands; before the first, the first."""
     ring: deque[float] = deque()
@@ -51,11 +49,11 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
     world.on_command(change)
 
 
-def _actuator_lag(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"time_constant": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)}
-
-
-@mechanism(units={"time_constant": "s"}, needs=("command",), size=_actuator_lag)
+@mechanism(
+    units={"time_constant": "s"},
+    needs=("command",),
+    size=lambda rng, s, k, a: {"time_constant": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)},
+)
 def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     """T u̇_f + u_f = u."""
 
@@ -80,21 +78,21 @@ def actuator_saturation(world: World, joint: int, limit: float) -> None:
     set_motor(world, joint, forcerange=[-limit, limit], forcelimited=True)
 
 
-def _actuator_deadzone(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"width": a * rng.uniform(0.02, 0.06) * s.peak[k]}
-
-
-@mechanism(units={"width": "N·m"}, needs=("command",), size=_actuator_deadzone)
+@mechanism(
+    units={"width": "N·m"},
+    needs=("command",),
+    size=lambda rng, s, k, a: {"width": a * rng.uniform(0.02, 0.06) * s.peak[k]},
+)
 def actuator_deadzone(world: World, joint: int, width: float) -> None:
     """Of the command u, u − clip(u, ±d)."""
     world.on_command(lambda i, step, u: np.where(np.arange(len(u)) == joint, u - np.clip(u, -width, width), u))
 
 
-def _backlash(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
-    return {"width": a * np.deg2rad(between(rng, 0.5, 2.0))}
-
-
-@mechanism(units={"width": "rad"}, needs=("command",), size=_backlash)
+@mechanism(
+    units={"width": "rad"},
+    needs=("command",),
+    size=lambda rng, s, k, a: {"width": a * np.deg2rad(between(rng, 0.5, 2.0))},
+)
 def backlash(world: World, joint: int, width: float) -> None:
     """Backlash of this total width between the motor, with a rotor's inertia, and the link."""
     place = world.hinge(joint)

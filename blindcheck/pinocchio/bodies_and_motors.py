@@ -80,11 +80,7 @@ def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     world.lags[joint] = time_constant
 
 
-def _round(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
-    return p if rng.random() < 0.5 else p | {"sharpness": float(rng.uniform(12.0, 30.0))}
-
-
-@form(_round)
+@form(lambda rng, s, k, p: p if rng.random() < 0.5 else p | {"sharpness": float(rng.uniform(12.0, 30.0))})
 def actuator_saturation(world: World, joint: int, limit: float, sharpness: float | None = None) -> None:
     """No more than ±limit, with a hard or a round corner."""
 
@@ -96,11 +92,7 @@ def actuator_saturation(world: World, joint: int, limit: float, sharpness: float
     world.shape(joint, of)
 
 
-def _soft_zone(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
-    return p if rng.random() < 0.5 else p | {"soft": 1.0}
-
-
-@form(_soft_zone)
+@form(lambda rng, s, k, p: p if rng.random() < 0.5 else p | {"soft": 1.0})
 def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0) -> None:
     """Of the command what exceeds ±width; or softly so."""
 

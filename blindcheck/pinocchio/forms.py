@@ -44,16 +44,8 @@ def hard_or_creeping(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dic
     return p if rng.random() < 0.5 else p | {"creep": float(rng.uniform(0.004, 0.03) * s.speed[k])}
 
 
-def _soft_tissue(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
-    return {"kappa": p["kappa"], "damping_ratio": float(rng.uniform(0.7, 1.5))}
-
-
 def _lens(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
     return p if rng.random() < 0.5 else {key: v for key, v in p.items() if key != "k1"} | {"division": p["k1"]}
-
-
-def _jitter(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
-    return p if rng.random() < 0.5 else p | {"uniform": 1.0}
 
 
 def _outliers(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
@@ -61,19 +53,11 @@ def _outliers(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
     return p if rng.random() < 0.5 else {key: v for key, v in p.items() if key != "scale"} | {"within": 1.2 * s.reach}
 
 
-def _swaps(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
-    return p | {"in_a_row": float(rng.integers(1, 5))}
-
-
-def _growing_noise(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
-    return {"slope_in_squares": p["slope"]}
-
-
 DRAWS.update(
-    soft_tissue=_soft_tissue,
+    soft_tissue=lambda rng, s, k, p: {"kappa": p["kappa"], "damping_ratio": float(rng.uniform(0.7, 1.5))},
     lens_distortion=_lens,
-    timestamp_jitter=_jitter,
+    timestamp_jitter=lambda rng, s, place, p: p if rng.random() < 0.5 else p | {"uniform": 1.0},
     outliers=_outliers,
-    label_swap=_swaps,
-    varying_noise=_growing_noise,
+    label_swap=lambda rng, s, place, p: p | {"in_a_row": float(rng.integers(1, 5))},
+    varying_noise=lambda rng, s, place, p: {"slope_in_squares": p["slope"]},
 )
