@@ -215,7 +215,7 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
         ([*INFER, "--fps", "30"], "f.mov: a film has pixels and its own times: leave --fps out"),
         ([*INFER, "--units", "px"], "f.mov: a film has pixels and its own times: leave --units out"),
         (
-            ["infer", "l.csv", *INFER[2:]],
+            ["infer", "l.csv", *INFER[2:], "--fps", "30"],
             "l.csv: this is a table of one camera's keypoints: leave --tracker out, which is for a film",
         ),
         (words(INFER, body="other.toml"), "the body's keypoint 'hand' is not tracked; tracked are elbow, wrist"),
