@@ -112,7 +112,7 @@ class OutputFiles:
                 shifting = {name for name, shift in zip(joints, shifts(idata), strict=True) if shift}
                 moments = time, median, low, high, joints, shifting
                 for path in self.of("OpenSim"):
-                    write_moments(path, *moments)
+                    write_moments(path, *moments, engine_curves(idata))
                 for path in self.of("NWB"):
                     unit = str(idata["posterior"]["torque"].attrs["units"])
                     write_nwb(path, {"behavior": moments}, {"behavior": seen(idata)}, unit)
@@ -219,12 +219,18 @@ def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
     return columns | engine_curves(idata)
 
 
-OF_ENGINE = {"activation": "activation", "actuator_force": "force", "contact_force": "force"}
+OF_ENGINE = {
+    "activation": "activation",
+    "actuator_force": "force",
+    "contact_force": "force",
+    "reaction_force": "reaction_force",
+    "reaction_moment": "reaction_moment",
+}
 """Variables of MuJoCo's engine, and what their columns end in."""
 
 
 def engine_curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
-    """Columns, as above, of activations, forces of actuators and of contacts along each axis; {} without them."""
+    """Columns, as above, of activations, forces of actuators, of contacts and of joints by axis; {} without them."""
     columns = {}
     for name, ending in OF_ENGINE.items():
         if name not in idata["posterior"]:

@@ -4,7 +4,8 @@ posterior             torque [chain, draw, time, joint] N·m (N of slides), the 
                       degree of freedom; angle rad and velocity rad/s of them; position [.., keypoint, space];
                       drive [.., input] in each input's unit (controls, excitations, wrenches); activation
                       [.., activation] and actuator_force [.., actuator] N where the file's actuators are the drive;
-                      contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch
+                      contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch;
+                      reaction_force N and reaction_moment N·m [.., link, axis] on each body with a joint
 posterior_predictive  position, angle, sensor with observation noise
 observed_data         the same, as recorded
 constant_data         the model's parameters; skeleton; ground [contact], 1 for contacts with what does not move
@@ -29,6 +30,7 @@ from invdyn.models.bodies.protocol import AXES
 from invdyn.models.engine.contacts import contact_forces
 from invdyn.models.engine.drives import turning_dofs
 from invdyn.models.engine.model import EngineModel
+from invdyn.models.engine.reactions import joint_reactions
 from invdyn.models.engine.scene import Scene, engine
 from invdyn.recordings import Recording, Truth
 
@@ -78,6 +80,10 @@ def engine_contents(
         posterior["contact_force"] = (sizes, contacts.force.reshape(*lead, *contacts.force.shape[1:]))
         posterior["centre_of_pressure"] = (sizes, contacts.centre.reshape(*lead, *contacts.centre.shape[1:]))
 
+    links, wrench = joint_reactions(model, flat)
+    for kind, part in (("force", wrench[..., :3]), ("moment", wrench[..., 3:])):
+        posterior[f"reaction_{kind}"] = ([*DRAWS, "time", "link", "axis"], part.reshape(*lead, *part.shape[1:]))
+
     predictive, observed, of_sensors, seen = sensed(model.observation, rows, observations, "m")
     attributes: dict[str, Any] = {
         "recording": recording.name,
@@ -106,6 +112,7 @@ def engine_contents(
         "actuator": list(scene.actuator_names),
         "activation_of": activation_names(model),
         "contact": list(contacts.names),
+        "link": list(links),
     }
     return Contents(posterior, predictive, observed, constants, coords, _units(model) | of_sensors, attributes, seen)
 
@@ -204,7 +211,7 @@ def _units(model: EngineModel) -> dict[str, str]:
     units = {"torque": "N·m", "angle": "rad", "velocity": "rad/s", "position": "m"}  # of joints that turn
     units |= {"truth_torque": units["torque"], "truth_angle": "rad", "truth_velocity": "rad/s"}
     units |= {"drive": " and ".join(dict.fromkeys(model.inputs.units)), "actuator_force": "N"}
-    return units | {"contact_force": "N", "centre_of_pressure": "m"}
+    return units | {"contact_force": "N", "centre_of_pressure": "m", "reaction_force": "N", "reaction_moment": "N·m"}
 
 
 def _skeleton(scene: Scene) -> list[tuple[int, int]]:

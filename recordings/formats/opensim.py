@@ -42,6 +42,7 @@ def write_moments(
     q95: np.ndarray,
     coordinates: Sequence[str],
     shifting: Collection[str] = (),
+    more: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write joint torques with their 90 % band as `<coordinate>_moment` (or `_force`), `_q05` and `_q95`.
 
@@ -53,6 +54,7 @@ def write_moments(
         q95: (T, K) its 95 % quantile.
         coordinates: K names of OpenSim coordinates.
         shifting: those of them that shift, m and N.
+        more: further columns (T,) by label, such as forces.
 
     Raises:
         InputError: shapes that do not fit.
@@ -66,7 +68,7 @@ def write_moments(
         for k, name in enumerate(coordinates):
             own = "force" if suffix == "moment" and name in shifting else suffix
             columns[f"{name}_{own}"] = np.asarray(values)[:, k]
-    write_sto(columns, path)
+    write_sto({**columns, **(more or {})}, path)
 
 
 def write_motion(path: str | Path, time: np.ndarray, angles: np.ndarray, coordinates: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from robot_xml import robot
 
 from invdyn.inference import load_posterior
 from invdyn.models.engine.needed import reasons_for_engine
-from invdyn.recordings import Recording, write_keypoint_csv
+from invdyn.recordings import Recording, read_sto, write_keypoint_csv
 
 ROWS = 16
 FEW = ("--filters", "2", "--particles", "30", "--draws", "4", "--set", "drive=joints")
@@ -40,6 +40,11 @@ def test_a_leg_from_its_file_to_its_forces(leg, run):
     table = pd.read_csv(leg / "p.csv")
     assert (table["floor-foot_force_z_q05"] <= table["floor-foot_force_z_q95"]).all()
     assert np.isfinite(table["hip_torque"]).all()
+    # What the knee bears from below is the floor's push less what the shank needs of it: of .3 kg, and from row on.
+    for_opensim = read_sto(leg / "p.sto")
+    assert for_opensim["shank_reaction_force_z"] == pytest.approx(table["shank_reaction_force_z"])
+    assert {"floor-foot_force_z_q05", "thigh_reaction_moment_y_q95"} <= set(for_opensim)
+    assert for_opensim["shank_reaction_force_z"].min() < -0.5 * table["floor-foot_force_z"].max() < 0
     assert run("plot", leg / "p.nc", "--out", leg / "again.png").exit_code == 0
 
 

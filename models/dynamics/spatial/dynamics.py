@@ -127,6 +127,14 @@ class SpatialDynamics(Dynamics):
         """τ = D q̈ + h + c, N·m or N, (..., K)."""
         return self._evaluate("inverse", p, q=q, qd=qd, qdd=qdd)
 
+    def reactions(self, q: Tensor, qd: Tensor, qdd: Tensor, p: Any) -> Tensor:
+        """Of each coordinate the force, N, and in space the moment, N·m, on what it carries, (..., K, 2 or 6).
+
+        By what it hangs on, in the recording's axes, about the coordinate's own place; of a moment in the plane all is
+        the torque. Weights are of ``p``: other loads, such as a hand's, are no part of it.
+        """
+        return self._evaluate("reactions", p, q=q, qd=qd, qdd=qdd).unflatten(-1, (self.num_joints, -1))
+
     def kinetic_energy(self, q: Tensor, qd: Tensor, p: Any) -> Tensor:
         """½ q̇ᵀ D q̇, J, (...)."""
         return self._evaluate("kinetic_energy", p, q=q, qd=qd).squeeze(-1)
@@ -192,7 +200,7 @@ class SpatialDynamics(Dynamics):
 
             state = Motion(moving("q"), moving("cos"), moving("sin"), moving("qd"), moving("qdd"), moving("tau"))
             own = moving("own") if with_own else None
-            frames = frames_of(self.tree, self._entry(graph, known), method != "potential_energy")
+            frames = frames_of(self.tree, self._entry(graph, known), method not in OF_ITSELF)
             if method == "uniform_load":
                 frames = replace(frames, gravity=[*moving("field", self.space), 0.0][:3])
             self._programs[key] = program(graph, TRACED[method](frames, state, own, self.space))
@@ -263,12 +271,17 @@ def _still(motion: Motion, *still: str) -> Motion:
     return motion._replace(**{word: [0.0] * len(motion.q) for word in still})
 
 
+OF_ITSELF = ("potential_energy", "reactions")
+"""Programs that need each body's own inertia, not the regrouped one."""
 TRACED = {
     "forward": lambda frames, motion, own, _: articulated_bodies.accelerations(frames, motion, own),
     "response": lambda frames, motion, own, _: articulated_bodies.accelerations(
         replace(frames, gravity=ZERO), _still(motion, "qd", "qdd"), own
     ),
     "inverse": lambda frames, motion, *_: newton_euler.torques(frames, motion),
+    "reactions": lambda frames, motion, _, space: _flat(
+        [force[:2] if space == 2 else [*force, *moment] for force, moment in newton_euler.reactions(frames, motion)]
+    ),
     "coriolis": lambda frames, motion, *_: newton_euler.torques(replace(frames, gravity=ZERO), _still(motion, "qdd")),
     "gravity_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),
     "uniform_load": lambda frames, motion, *_: newton_euler.torques(frames, _still(motion, "qd", "qdd")),

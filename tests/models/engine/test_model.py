@@ -13,6 +13,7 @@ from invdyn.inference import check_model
 from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation
 from invdyn.models.engine.drives import Controls, Given, Inputs, JointTorques, Wrench, turning_dofs
 from invdyn.models.engine.model import EngineModel, typical_forces
+from invdyn.models.engine.reactions import joint_reactions
 from invdyn.models.engine.readings import Readings
 from invdyn.models.engine.scene import Scene
 
@@ -56,6 +57,33 @@ def test_the_leg_moves_as_mujoco_moves_it():
     assert found[:2] == pytest.approx(state[:2].numpy() * fade)
     assert found[2:] == pytest.approx(np.concatenate([data.qpos, data.qvel]), abs=1e-9)
     assert model.nonsmooth
+
+
+def test_joints_bear_what_sensors_in_them_measure():
+    """MuJoCo's sensors see forces in their site's frame, which is the shank's, at the knee's anchor."""
+    sensed = "<sensor><force site='knee'/><torque site='knee'/></sensor></mujoco>"
+    text = legs.leg_file("hop").replace("</mujoco>", sensed)
+    model = EngineModel(text, np.arange(5) * 0.01, drive=JointTorques(("hip", "knee")))
+    states = torch.tensor([[3.0, -2.0, -0.14, -0.6, 1.2, -0.5, 0.3, -0.2], [0, 9, 0.1, 0.5, -1, 0, -3, 4]], dtype=F64)
+    states = torch.cat([states, torch.full((1, 8), np.nan, dtype=F64)])
+    names, wrench = joint_reactions(model, states[None].numpy())
+    assert names == ("trunk", "thigh", "shank")
+    assert wrench.shape == (1, 3, 3, 6)
+    assert np.isnan(wrench[0, 2]).all()
+    compiled = mujoco.MjModel.from_xml_string(text)
+    data, contacts = mujoco.MjData(compiled), []
+    for state, found in zip(states[:2].numpy(), wrench[0], strict=False):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[1:] = state[2:5], state[5:], state[:2]
+        mujoco.mj_forward(compiled, data)
+        contacts.append(data.ncon)
+        axes = data.site("knee").xmat.reshape(3, 3)
+        theirs = np.concatenate([axes @ data.sensordata[:3], axes @ data.sensordata[3:]])
+        assert found[2] == pytest.approx(theirs, rel=1e-6, abs=1e-6)
+        # About the knee's own axis it is the drive less damping and rotor; the trunk's rail bears nothing upwards.
+        own = state[1] - 0.05 * state[7] - 0.005 * data.qacc[2]
+        assert found[2, 4] == pytest.approx(own, abs=1e-5)
+        assert found[0, 2] == pytest.approx(0, abs=1e-4)
+    assert contacts[0] > 0 == contacts[1]
 
 
 def test_muscles_are_driven_by_excitations_and_keep_activations():

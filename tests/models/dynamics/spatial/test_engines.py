@@ -53,6 +53,13 @@ def test_agrees_with_pinocchio(tree):
         close(dynamics.forward(q, qd, third, p), pin.aba(model, data, *theirs)[order], SAME)
         close(dynamics.inverse(q, qd, third, p), pin.rnea(model, data, *theirs)[order], SAME)
         close(dynamics.gravity_load(q, p), pin.computeGeneralizedGravity(model, data, theirs[0])[order], SAME)
+        borne = dynamics.reactions(q, qd, third, p)
+        pin.rnea(model, data, *theirs)
+        pin.forwardKinematics(model, data, theirs[0])
+        for (_, motion), wrench in zip(tree.motions(), borne, strict=True):
+            number = model.getJointId(motion.name)
+            turn, own = data.oMi[number].rotation, data.f[number]
+            close(wrench, np.concatenate([turn @ own.linear, turn @ own.angular]), SAME)
         upper = np.triu(pin.crba(model, data, theirs[0]))
         close(dynamics.inertia_matrix(q, p), (upper + np.triu(upper, 1).T)[np.ix_(order, order)], SAME)
         own = torch.linspace(0.1, 0.5, tree.num_joints, dtype=q.dtype)
@@ -73,3 +80,7 @@ def test_planar_bodies_laid_into_space_are_the_planar_ones(K):
             assert not deep[..., 2].any()
             deep = deep[..., :2]
         close(deep, flat, 1e-12)
+    motion = state["q"], state["qd"], state["tau"]
+    borne = spatial.reactions(*motion, parameters_in_space(p))
+    close(borne[..., :2], planar.reactions(*motion, p), 1e-12)
+    close(borne[..., 5], planar.inverse(*motion, p), 1e-12)

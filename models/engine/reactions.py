@@ -1,0 +1,43 @@
+"""What joints bear along paths: force and moment on each body by what it hangs on, contacts and the drive acting.
+
+MuJoCo's recursive Newton–Euler with all forces (``mj_rnePostConstraint``; R. Featherstone, Rigid Body Dynamics
+Algorithms, 2008, chapter 5) has of each body a wrench (m, f) about the centre of mass c of the tree that it belongs to,
+in the world's axes. About the anchor p of the body's first joint,
+
+    moment = m + (c − p) × f.
+
+It is that of the row itself, where contact forces are means up to the next one. Joints bear nothing along what they
+leave free, but for drives, springs and damping.
+
+Shapes: paths (N, T, D), B bodies with joints, wrench (N, T, B, 6): force N, then moment N·m.
+"""
+
+import numpy as np
+
+from invdyn.models.engine.model import EngineModel
+from invdyn.models.engine.scene import engine
+
+
+def joint_reactions(model: EngineModel, paths: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names of the B bodies, and their wrenches along ``paths`` (N, T, D) of states; NaN where a state is."""
+    mujoco, compiled = engine(model.scene.name), model.compiled()
+    data = mujoco.MjData(compiled)
+    bodies = np.flatnonzero(compiled.body_jntnum)
+    joints, roots = compiled.body_jntadr[bodies], compiled.body_rootid[bodies]
+    flat = paths.reshape(-1, paths.shape[-1])
+    fields = model.inputs.fields(flat[:, : model.inputs.size])
+    out = np.full((len(flat), len(bodies), 6), np.nan)
+    ends = [compiled.nq, compiled.nq + compiled.nv]
+    for k, (physics, inputs) in enumerate(zip(model.physics(flat), fields, strict=True)):
+        if not np.isfinite(physics).all():
+            continue
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(physics, ends)
+        data.qacc_warmstart[:] = 0  # so that a state's numbers depend on it alone
+        mujoco.mj_setState(compiled, data, inputs, model.inputs.spec)
+        mujoco.mj_forward(compiled, data)
+        mujoco.mj_rnePostConstraint(compiled, data)
+        moment, force = data.cfrc_int[bodies, :3], data.cfrc_int[bodies, 3:]
+        off = data.subtree_com[roots] - data.xanchor[joints]
+        out[k] = np.concatenate([force, moment + np.cross(off, force)], -1)
+    names = tuple(compiled.body(b).name or f"body{b}" for b in bodies.tolist())
+    return names, out.reshape(*paths.shape[:-1], len(bodies), 6)
