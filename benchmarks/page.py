@@ -53,6 +53,7 @@ COMMANDS = {
     "moving_base": "moving_base.py --seeds 2 --cases still/2 walking/2 running/2 jumping/2 bus/2 falling/2 "
     "walking/3 falling/3",
     "leg": "leg.py --seeds 3 --filters 4 --results build/leg.jsonl",
+    "gait": "gait.py",
     "walker": "walker.py",
     "walker_arm": "walker_arm.py --every 3 --results build/walker_arm.jsonl",
     "simulated_cameras": 'simulated_cameras.py --cases two three four hidden clock "two, points" "four, points" '
