@@ -132,6 +132,7 @@ def test_the_checkpoint_of_another_run(folder, run):
 INFER = ("infer", "f.mov", "--body", "arm.toml", "--tracker", "n.safetensors", "--scale", "0.01", "--out", "arm.nc")
 
 
+@pytest.mark.long
 def test_infer_reads_from_a_film(folder, shared, run):
     (folder / "arm.toml").write_text(stick(0.01))
     outcome = run(*INFER, "--method", "laplace", "--out", "arm.gif", "--filters", "2", "--particles", "8")
