@@ -5,7 +5,8 @@
 
 FOLDER has MJCF files, such as those of MuJoCo Menagerie without meshes, whose joints have position servos. MuJoCo plays
 a copy in which one number of one joint or link is another. The log has 10 s of 100 rows: targets, each a sum of three
-sines, and angles with .2 mrad of noise. It is read with the file as published.
+sines within its joint's range, and angles with .2 mrad of noise. It is read with the file as published. Dry friction is
+played as such: by MuJoCo's defaults it is viscous up to speeds at which a light joint never turns.
 
 An answer is right where what it names without a "perhaps" is the effect at its joint; of a mass, links' numbers. A
 value is the whole number, file and change together, or of links the base parameter that changes most.
@@ -31,6 +32,8 @@ from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.recordings import Recording, write_table
 
 STEP, RATE, SECONDS = 2.5e-4, 100.0, 10.0
+DRY, INSIDE = 0.999, 0.9
+"""Impedance of dry friction; share of the way to a joint's stops that targets go."""
 CHANGES = {
     "none": "",
     "friction": "coulomb_friction",
@@ -45,14 +48,23 @@ def played(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[np.ndarray,
     """Times (T,), angles and targets (T, K), and the rms of K (c − q), velocity and acceleration by joint (3, K)."""
     K, data = model.nv, mujoco.MjData(model)
     model.opt.timestep = STEP
+    model.dof_solref[:], model.dof_solimp[:, :2] = (2 * STEP, 1.0), DRY
     middle = model.key_qpos[0] if model.nkey else np.where(model.jnt_limited, model.jnt_range.mean(1), 0.0)
     room = np.minimum(np.where(model.jnt_limited, np.ptp(model.jnt_range, 1) / 2, 2.0), 2.0)
     frequency, phase = rng.uniform(0.1, 0.7, (3, K)), rng.uniform(0, 2 * np.pi, (3, K))
     size = rng.uniform(0.1, 0.25, (3, K)) * room / np.maximum(frequency / 0.3, 1)
     own = [int(np.flatnonzero(model.actuator_trnid[:, 0] == k)[0]) for k in range(K)]
 
+    def wave(t: np.ndarray | float) -> np.ndarray:
+        angle = 2 * np.pi * frequency * np.asarray(t)[..., None, None] + phase
+        return np.asarray((size * (np.sin(angle) - np.sin(phase))).sum(-2))
+
+    whole = wave(np.arange(0, SECONDS, 1 / RATE))
+    low, high = np.where(model.jnt_limited, model.jnt_range.T - middle, [[-np.inf], [np.inf]])
+    size *= np.minimum(1.0, INSIDE * np.minimum(low / whole.min(0), high / whole.max(0)))
+
     def target(t: float) -> np.ndarray:
-        return np.asarray(middle + (size * (np.sin(2 * np.pi * frequency * t + phase) - np.sin(phase))).sum(0))
+        return np.asarray(middle + wave(t))
 
     data.qpos[:], rows = middle, []
     for n in range(round(SECONDS * RATE)):

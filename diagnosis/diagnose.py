@@ -272,7 +272,7 @@ def _notes(recording: Recording | Sequence[Recording], refused: Sequence[str], r
 def _by_search(run: _Run) -> Diagnosis:
     """Search, confirm what is found, measure it on held-out rows, and describe it."""
     run.report(1, "screen and refine")
-    start = start_of(run.said if run.robot else None, run.bound, run.passive)
+    start = start_of(run.said if run.robot else None, run.bound)
     found = searched(run.bound, run.without, run.workers, start)
     bound, other, said = found.problem, run.other, run.said
     if (reason := too_little(bound, found)) is not None:
@@ -284,7 +284,7 @@ def _by_search(run: _Run) -> Diagnosis:
     weighed, shares, there = _confirmed(run, found)
     best = weighed.best
     if found.everywhere:
-        parts = {}  # what a regression chose, withheld folds have confirmed
+        parts = {}  # what is usual was not added effect by effect
     elif len(best.effects) > 1:
         parts = by_effect(bound, found, best, there, other, run.seed)
         if not all_confirmed(best, parts, bound.rules):

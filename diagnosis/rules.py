@@ -166,7 +166,7 @@ class SearchRules:
     max_step_factor: int = number(2, "1", "times the sub-steps that errors in an angle need", "effort")
     passes_per_row: float = number(11000.0, "passes", "of work, by default", "effort: 102 to 213 s in nine logs")
     min_budget_rows: int = number(1000, "rows", "that a budget counts at least", "effort")
-    started_share: float = number(0.08, "1", "of the budget, for the search from what a regression found", "effort")
+    started_share: float = number(0.2, "1", "of the budget, for the search from what is usual", "effort")
     search_share: float = number(0.75, "1", "of the budget, for the search", "effort")
 
 
@@ -421,6 +421,7 @@ class Fixed:
     )
     plain_size: float = number(10.0, "of the torque needed", "the same of a plain fit: next to no prior", "chosen")
     sure_probability: float = number(0.9, "1", 'of what a regression names without a "perhaps"', "stated")
+    usual_start: float = number(0.1, "prior sd", "of a usual effect that a regression has no size of", "effort")
     regression_tail: float = number(4.0, "1", "degrees of freedom of what a regression leaves", "chosen")
     max_gap_steps: float = number(20.0, "steps", "beyond which a recording has a gap", "chosen")
     max_edge_sd: float = number(2.0, "medians", "of an acceleration's sd; rows at edges have more", "chosen")

@@ -7,14 +7,15 @@ On rows that neither answer was fitted to. Both are measured along one motion, t
 (:mod:`..regression.as_model`). Intervals are of one more motion like these (:mod:`..regression.torque_closing`).
 
 An answer of the search that misses more torque than the regression's, or replays worse, by more than
-`max_behind_plain` and `min_plain_gain` say, is not shown as the answer: the regression's is. An answer that leaves
-nothing is shown in any case. Of effects that have states which no sensor shows, or that change what sensors see, no
+`max_behind_plain` and `min_plain_gain` say, is not shown as the answer: the regression's is. Of replays the difference
+must exceed its own standard error over parts of four. An answer that leaves nothing is shown in any
+case. Of effects that have states which no sensor shows, or that change what sensors see, no
 torque along a motion tells: they count as absent.
 
 Shapes: R rows, K joints, H horizons, W replays. Units: N·m, rad, s.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ from invdyn.diagnosis.regression.as_model import (
     windows,
     with_coefficients,
 )
+from invdyn.diagnosis.regression.grouped_evidence import lower
 from invdyn.diagnosis.regression.regress import Regression, Unseen
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing, closing, share_closed
 from invdyn.diagnosis.rules import FIXED
@@ -37,6 +39,8 @@ from invdyn.models.effects.base import PREFIX
 from invdyn.models.effects.hidden import Hidden
 
 REGRESSION, SEARCH = "regression", "search"
+Replays = tuple[float, Mapping[str, np.ndarray]]
+"""A horizon, s, and errors (W,), rad, by answer."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +101,10 @@ def measured(
         own = torque_missed(first, there.fitted, there.cutoff)
         after = torque_missed(models[SEARCH], there.motion, there.cutoff)
         torque[SEARCH] = closing(there.missing, after, (there.fitted_missing, own))
-    replay = _replayed(models, there)
-    behind = cause is None or (not complete and bool(regression.stated) and _behind(torque, replay))
-    return Closing(regression.joints, torque, replay, REGRESSION if behind else SEARCH)
+    errors = _replayed(models, there)
+    replay = tuple(_closing(*each) for each in errors)
+    worse = cause is None or (not complete and bool(regression.stated) and behind(torque, errors))
+    return Closing(regression.joints, torque, replay, REGRESSION if worse else SEARCH)
 
 
 def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
@@ -113,21 +118,30 @@ def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
     return nominal.with_effects(*known).replace(**own, **filed, **mine)
 
 
-def _behind(torque: Mapping[str, TorqueClosing], replay: tuple[ReplayClosing, ...]) -> bool:
+def behind(torque: Mapping[str, TorqueClosing], replays: Sequence[Replays]) -> bool:
     """Whether the search closes less than the regression on any measure, by more than is stated."""
-    before = float(np.linalg.norm(torque[REGRESSION].before))
     left = {who: float(np.linalg.norm(each.after)) for who, each in torque.items()}
-    sizes = [(before, left), *((each.rms["nominal"], each.rms) for each in replay)]
-    return any(
-        own[SEARCH] > max(FIXED.max_behind_plain * own[REGRESSION], own[REGRESSION] + FIXED.min_plain_gain * whole)
-        for whole, own in sizes
-    )
+    if _more(left, float(np.linalg.norm(torque[REGRESSION].before))):
+        return True
+    for _, errors in replays:
+        own = {who: _rms(each) for who, each in errors.items()}
+        parts = [np.array_split(errors[who] ** 2, max(len(errors[who]) // 4, 1)) for who in (SEARCH, REGRESSION)]
+        search, regression = (np.array([part.mean() for part in each]) for each in parts)
+        if len(search) > 1 and lower(search, regression) and _more(own, own["nominal"]):
+            return True
+    return False
 
 
-def _replayed(models: Mapping[str, ArmModel], there: Unseen) -> tuple[ReplayClosing, ...]:
+def _more(left: Mapping[str, float], whole: float) -> bool:
+    """Whether the search leaves more than the regression does of so much."""
+    known = left[REGRESSION]
+    return left[SEARCH] > max(FIXED.max_behind_plain * known, known + FIXED.min_plain_gain * whole)
+
+
+def _replayed(models: Mapping[str, ArmModel], there: Unseen) -> list[Replays]:
     starts = windows(there.motion)
     if not len(starts):
-        return ()
+        return []
     errors: dict[str, np.ndarray] = {}
     for who, model in models.items():
         try:
@@ -135,10 +149,14 @@ def _replayed(models: Mapping[str, ArmModel], there: Unseen) -> tuple[ReplayClos
                 errors[who] = replay_errors(model, there.motion, starts)
         except Diverged:
             errors[who] = np.full((len(FIXED.replay_horizons), len(starts)), np.pi)
-    found = []
-    for n, horizon in enumerate(FIXED.replay_horizons):
-        own = {who: each[n] for who, each in errors.items()}
-        rms = {who: float(np.sqrt((each**2).mean())) for who, each in own.items()}
-        shares = {who: share_closed(own["nominal"], each) for who, each in own.items() if who != "nominal"}
-        found.append(ReplayClosing(horizon, rms, shares))
-    return tuple(found)
+    return [(horizon, {who: e[n] for who, e in errors.items()}) for n, horizon in enumerate(FIXED.replay_horizons)]
+
+
+def _closing(horizon: float, errors: Mapping[str, np.ndarray]) -> ReplayClosing:
+    rms = {who: _rms(each) for who, each in errors.items()}
+    shares = {who: share_closed(errors["nominal"], each) for who, each in errors.items() if who != "nominal"}
+    return ReplayClosing(horizon, rms, shares)
+
+
+def _rms(errors: np.ndarray) -> float:
+    return float(np.sqrt((errors**2).mean()))

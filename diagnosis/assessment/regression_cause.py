@@ -5,17 +5,18 @@ are known by their ratio alone stay at that ratio. A link's numbers are those of
 that were found (:mod:`..regression.as_model`).
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from invdyn.diagnosis.assessment.findings import described_by, place
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding
-from invdyn.diagnosis.hypotheses.regression_start import Start, regressed
+from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.regression.as_model import model_on
+from invdyn.diagnosis.regression.as_model import Coefficients, model_on, with_coefficients
+from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
-from invdyn.models.effects.base import Effect
+from invdyn.models import ArmModel
+from invdyn.models.effects.base import PREFIX, Effect
+from invdyn.models.effects.inertias import inertia_of
 
 
 def regression_cause(regression: Regression, problem: DiagnosisProblem, passive: bool) -> Cause | None:
@@ -23,13 +24,41 @@ def regression_cause(regression: Regression, problem: DiagnosisProblem, passive:
     if regression.unseen is None:
         return None
     nominal = model_on(regression.unseen.motion, problem.model.body, passive)
-    mean = regressed(regression, problem, passive, nominal)
+    mean = _regressed(regression.coefficients, problem, nominal)
     if not mean.effects:
         return None
-    every = [regressed(replace(regression, coefficients=each), problem, passive, nominal) for each in regression.draws]
+    every = [_regressed(each, problem, nominal) for each in regression.draws]
     whole = [each for each in every if each.values.keys() == mean.values.keys()]
     findings = tuple(_finding(problem, effect, mean, whole) for effect in mean.effects)
     return Cause(findings, 0.0, float("nan"), float("nan"))
+
+
+def _regressed(coefficients: Coefficients, problem: DiagnosisProblem, nominal: ArmModel) -> Start:
+    """Effects of the catalogue with the numbers that a regression found."""
+    model = with_coefficients(nominal, coefficients)
+    values = {
+        f"{effect.key}.{parameter.name}": model.parameters[f"{PREFIX}{effect.key}.{parameter.name}"].item()
+        for effect in model.effects
+        for parameter in effect.parameters(model.scale)
+    }
+    effects = list(model.effects)
+    inertial = problem.catalogue.get(INERTIAL)
+    links = sorted({place for kind, place, _ in coefficients if kind == INERTIAL})
+    for link in links:
+        if inertial is None:
+            break  # it is not looked for
+        effect = inertial.effect(link).bound(problem.model.body)
+        own, other = (inertia_of(each.body_parameters(), effect.place[0]) for each in (nominal, model))
+        shift = (other.com - own.com).tolist()
+        numbers = [(other.mass - own.mass).item(), *shift, (other.mean - own.mean).item()]
+        names = [parameter.name for parameter in effect.parameters(problem.model.scale)]
+        values |= {f"{effect.key}.{name}": value for name, value in zip(names, numbers, strict=True)}
+        effects.append(effect)
+    known = {effect.key for _, effect in problem.catalogue.everywhere(problem.model.body, [])}
+    kept = tuple(effect for effect in effects if effect.key in known)
+    keys = {effect.key for effect in kept}
+    values = {name: value for name, value in values.items() if name.rpartition(".")[0] in keys and np.isfinite(value)}
+    return Start(kept, values)
 
 
 def _finding(problem: DiagnosisProblem, effect: Effect, mean: Start, draws: list[Start]) -> Finding:

@@ -1,73 +1,57 @@
-"""The first hypothesis of a search: what a regression of the torque found, all effects at all their places at once.
+"""The first hypothesis of a search for what a robot's log lacks: the usual effects, all at once, at all their places.
 
-A real robot lacks an effect everywhere, and a search that adds one at a time pays for each as for a fault of its own.
-Where a regression (:mod:`..regression.regress`) of a robot's log states an effect at every joint, its set is refined
-first, and the search continues from there. Such an effect counts as one statement in the prior
-(:func:`.prior.log_prior_of`).
+A real robot lacks friction and rotors at every joint, and its masses are all a little off. A search that adds one
+effect at a time pays for each as for a fault of its own, and a regression (:mod:`..regression.regress`) takes what is
+odd for more of what is usual. So where it states an effect at every joint, the search starts from all of the usual ones
+under their priors, once with what else the regression states and once without, and asks what else is there. Of these an
+effect counts as one statement in the prior
+(:func:`.prior.log_prior_of`), and those that gain nothing are dropped, at all places together.
 """
 
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.regression.as_model import model_on, with_coefficients
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS, WITHIN
+from invdyn.diagnosis.regression.linear_effects import FRICTION, INERTIAL, JOINT_KINDS, WITHIN
 from invdyn.diagnosis.regression.regress import Regression
-from invdyn.models import ArmModel
-from invdyn.models.effects.base import PREFIX, Effect
-from invdyn.models.effects.inertias import inertia_of
+from invdyn.diagnosis.rules import FIXED
+from invdyn.models.effects.base import Effect
 
 
 @dataclass(frozen=True)
 class Start:
-    """Effects with values of their parameters, "<effect key>.<name>", and names of effects that are at every place."""
+    """Effects with values of their parameters, "<effect key>.<name>", and names of effects that are at every place.
+
+    `others` are what a regression states besides.
+    """
 
     effects: tuple[Effect, ...] = ()
     values: dict[str, float] = field(default_factory=dict)
     everywhere: frozenset[str] = frozenset()
+    others: tuple[Effect, ...] = ()
 
 
-def start_of(regression: Regression | None, problem: DiagnosisProblem, passive: bool) -> Start:
-    """Where a search begins; without effects where no effect is stated at every one of several joints."""
+def start_of(regression: Regression | None, problem: DiagnosisProblem) -> Start:
+    """Where a search begins; without effects where a regression states none at every one of several joints.
+
+    Sizes are the regression's, or small. Links begin as the file has them, as a torque tells sums of their numbers
+    alone; in space they are left out unless they are stated, as they are many. A gain imitates usual effects together.
+    """
     if regression is None or regression.unseen is None:
         return Start()
-    stated = [s.effect for s in regression.stated if s.everywhere and len(s.places) > 1]
-    everywhere = frozenset(WITHIN.get(effect, effect) for effect in stated)
-    if not everywhere & JOINT_KINDS.keys():
+    if not any(s.everywhere and len(s.places) > 1 and s.effect in JOINT_KINDS for s in regression.stated):
         return Start()
-    found = regressed(regression, problem, passive)
-    return replace(found, everywhere=everywhere & {effect.name for effect in found.effects})
-
-
-def regressed(
-    regression: Regression, problem: DiagnosisProblem, passive: bool, nominal: ArmModel | None = None
-) -> Start:
-    """All that a regression found, as effects of the catalogue with their numbers; ``nominal`` is :func:`.model_on`."""
-    if regression.unseen is None:
-        return Start()
-    nominal = nominal or model_on(regression.unseen.motion, problem.model.body, passive)
-    model = with_coefficients(nominal, regression.coefficients)
-    values = {
-        f"{effect.key}.{parameter.name}": model.parameters[f"{PREFIX}{effect.key}.{parameter.name}"].item()
-        for effect in model.effects
-        for parameter in effect.parameters(model.scale)
-    }
-    effects = list(model.effects)
-    inertial = problem.catalogue.get(INERTIAL)
-    links = sorted({place for kind, place, _ in regression.coefficients if kind == INERTIAL})
-    for link in links:
-        if inertial is None:
-            break  # it is not looked for
-        effect = inertial.effect(link).bound(problem.model.body)
-        own, other = (inertia_of(each.body_parameters(), effect.place[0]) for each in (nominal, model))
-        shift = (other.com - own.com).tolist()
-        numbers = [(other.mass - own.mass).item(), *shift, (other.mean - own.mean).item()]
-        names = [parameter.name for parameter in effect.parameters(problem.model.scale)]
-        values |= {f"{effect.key}.{name}": value for name, value in zip(names, numbers, strict=True)}
-        effects.append(effect)
-    known = {effect.key for _, effect in problem.catalogue.everywhere(problem.model.body, [])}
-    kept = tuple(effect for effect in effects if effect.key in known)
-    keys = {effect.key for effect in kept}
-    values = {name: value for name, value in values.items() if name.rpartition(".")[0] in keys and np.isfinite(value)}
-    return Start(kept, values)
+    body, scale = problem.model.body, problem.model.scale
+    found = {key: value for key, value in regression.coefficients.items() if key[0] != INERTIAL}
+    found |= {(WITHIN[k[0]], *k[1:]): -v for k, v in found.items() if k[0] in WITHIN}
+    stated = {s.effect for s in regression.stated}
+    usual = {*FRICTION, "armature"} | ({INERTIAL} if body.dimensions == 2 or INERTIAL in stated else set())
+    every = [effect for _, effect in problem.catalogue.everywhere(body, [])]
+    effects = tuple(effect for effect in every if effect.name in usual)
+    springs = {(name, place) for name, place, _ in found if name in WITHIN.values()}
+    others = tuple(effect for effect in every if (effect.name, *effect.where[:1]) in springs)
+    values = {f"{effect.key}.{each.name}": 0.0 for effect in (*effects, *others) for each in effect.parameters(scale)}
+    for effect in (effect for effect in (*effects, *others) if effect.name != INERTIAL):
+        for each in effect.parameters(scale):
+            size = found.get((effect.name, effect.where[0], each.name))
+            values[f"{effect.key}.{each.name}"] = size or FIXED.usual_start * float(each.prior.stddev)
+    return Start(effects, values, frozenset(effect.name for effect in effects), others)

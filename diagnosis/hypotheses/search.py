@@ -12,8 +12,8 @@ first of these moves that it has not made, which may make another one the best:
             others that look like it, from values that its own say (:mod:`.swap`); last, each effect of the best cause
             for any other, along its path (:func:`exchange`)
 
-Where a regression states effects at every joint, the search begins with its set (:mod:`.regression_start`), and only
-extends what is best: that set is chosen already.
+Where a regression of a robot's log states effects at every joint, the search begins with all that are usual there
+(:mod:`.regression_start`). It extends what is best, and drops what is usual and gains nothing, at all places together.
 
 With unknown torque the search is for one effect that only the camera shows. A torque can imitate all others, and only
 its prior could speak against them. No limb obeys that prior, so an effect of the observation must gain more evidence
@@ -79,17 +79,20 @@ def search(
 
 
 def _begin(found: HypothesisPool, start: Start) -> None:
-    """Refine what a regression found, along the data's path."""
+    """Refine what is usual, along the data's path."""
     known = {effect.key for effect in found.candidates}
-    effects = [effect for effect in start.effects if effect.key in known]
-    if not effects:
-        return
     problem = found.problem
-    first = attempt(refine, problem, effects, start.values, found.path, problem.regime.path_size)
-    if first is not None and first.plausible and first.log_evidence > found.pool[""].log_evidence:
-        found.everywhere = start.everywhere
-        found.add(first)
-        problem.budget.share = problem.rules.search.started_share
+    for more in dict.fromkeys([(), start.others]):
+        effects = [effect for effect in (*start.effects, *more) if effect.key in known]
+        keys = tuple(f"{effect.key}." for effect in effects)
+        values = {name: value for name, value in start.values.items() if name.startswith(keys)}
+        if not effects:
+            return
+        first = attempt(refine, problem, effects, values, found.path, problem.regime.path_size)
+        if first is not None and first.plausible and first.log_evidence > found.pool[""].log_evidence:
+            found.everywhere = start.everywhere
+            found.add(first)
+            problem.budget.share = problem.rules.search.started_share
 
 
 def climb_moves(found: HypothesisPool) -> None:
@@ -117,6 +120,7 @@ def moves_of(found: HypothesisPool, made: Collection[tuple[Move, str]]) -> Itera
     if found.everywhere:
         if not (found.first and best.complete):
             yield extend, best
+        yield thin, best
         return
     single = max((c for c in found.pool.values() if len(others(c)) == 1), key=found.score, default=None)
     if len(best.effects) > 1:
@@ -178,10 +182,19 @@ def refine_tracker_errors(found: HypothesisPool) -> None:
 
 
 def extend(found: HypothesisPool, base: FittedHypothesis) -> None:
-    """Refine the few most promising effects with what a regression found; none is swapped for its neighbours."""
+    """Refine the few most promising effects with what is usual; none is swapped for its neighbours."""
     screened = screened_with(found, base)
     found.first = found.first or screened
     refine_best(found, base, screened, found.rules.search.max_candidates_exchanged)
+
+
+def thin(found: HypothesisPool, best: FittedHypothesis) -> None:
+    """Leave out each effect that is usual, at all its places."""
+    for name in sorted(found.everywhere & {effect.name for effect in best.effects}):
+        rest = [effect for effect in best.effects if effect.name != name]
+        keys = tuple(f"{effect.key}." for effect in rest)
+        values = {key: value for key, value in best.values.items() if key.startswith(keys)}
+        found.add(attempt(refine, found.problem, rest, values, best.path, found.problem.min_size, **best.searched))
 
 
 def drop(found: HypothesisPool, best: FittedHypothesis) -> None:

@@ -102,7 +102,7 @@ class Choice:
             least = best.score + self.rules.search.equal_gain
             better = sorted((each for each in tried if each.score > least), key=lambda each: -each.score)
             predicted = (replace(each, unseen=self._unseen(each)) for each in better)
-            if (step := next((each for each in predicted if _lower(best.unseen, each.unseen)), None)) is None:
+            if (step := next((each for each in predicted if lower(best.unseen, each.unseen)), None)) is None:
                 break
             best = step
         return best
@@ -208,7 +208,7 @@ class Choice:
         return total
 
 
-def _lower(before: np.ndarray, after: np.ndarray) -> bool:
+def lower(before: np.ndarray, after: np.ndarray) -> bool:
     """Whether folds' errors (F,) are lower by more than the standard error of the difference."""
     gain = before - after
     return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))

@@ -9,7 +9,7 @@ import pytest
 import torch
 from regressed import BODY, friction, recorded
 
-from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, measured
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, behind, measured
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.sentences import interim, regression_words
@@ -69,6 +69,17 @@ def test_a_search_that_is_not_behind_is_shown(regression):
     closing = measured(regression, BODY, False, cause(regression, *effects, **values), False)
     assert closing.shown == SEARCH
     assert closing.to_json()["torque"][SEARCH]["closed"] > 0.9
+
+
+@pytest.mark.parametrize(("worse", "is_behind"), [((1.5, 1.5, 1.5), True), ((0.5, 0.5, 4.0), False), ((4.0,), False)])
+def test_a_search_is_behind_in_replays_that_show_it(worse, is_behind):
+    """In parts of four: once by far of three is chance, and one alone tells nothing; the torque is the same."""
+    errors = {who: 0.1 * np.ones(4 * len(worse)) for who in ("nominal", REGRESSION, SEARCH)}
+    errors["nominal"], errors[SEARCH] = 10 * errors["nominal"], errors[SEARCH] * np.repeat(worse, 4)
+    same = SimpleNamespace(before=np.ones(2), after=0.1 * np.ones(2))
+    assert behind({REGRESSION: same, SEARCH: same}, [(0.5, errors)]) == is_behind
+    less = SimpleNamespace(before=np.ones(2), after=0.2 * np.ones(2))
+    assert behind({REGRESSION: same, SEARCH: less}, [])
 
 
 @pytest.mark.long

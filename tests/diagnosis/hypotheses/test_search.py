@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,15 @@ from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
-from invdyn.diagnosis.hypotheses.search import climb_moves, exchange, moves_of, refine_tracker_errors, search
+from invdyn.diagnosis.hypotheses.search import (
+    climb_moves,
+    exchange,
+    extend,
+    moves_of,
+    refine_tracker_errors,
+    search,
+    thin,
+)
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models.effects import EFFECTS
@@ -293,3 +302,28 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
     assert asked == ([] if taken is None else [("", screened, DEFAULT.search.max_candidates_for_outliers)])
     assert (limit.key in found.pool) is bool(taken)
     assert found.first == (screened if taken else [])
+
+
+def test_what_is_usual_is_dropped_at_all_its_places(monkeypatch):
+    """And what is odd stays; a set that leaves nothing is only made smaller."""
+    tried = []
+    module = sys.modules["invdyn.diagnosis.hypotheses.search"]
+    monkeypatch.setattr(module, "refine", lambda _, effects, values, *rest, **more: tried.append((effects, values)))
+    usual = [EFFECTS[name](joint) for name in ("viscous_friction", "armature") for joint in ("shoulder", "elbow")]
+    every = [*usual, EFFECTS["joint_stiffness"]("elbow")]
+    values = {f"{effect.key}.number": 1.0 for effect in every}
+    best = SimpleNamespace(effects=tuple(every), values=values, path=None, searched={}, key="", complete=True)
+    regime = SimpleNamespace(knows_torque=True)
+    found = SimpleNamespace(
+        problem=SimpleNamespace(min_size=0.0, regime=regime),
+        everywhere=frozenset({"viscous_friction", "armature", "coulomb_friction"}),
+        **{"add": lambda cause: None, "best": best, "first": [1]},
+    )
+    assert [move for move, _ in moves_of(found, ())] == [thin]
+    best.complete = False
+    assert [move for move, _ in moves_of(found, ())] == [extend, thin]
+    thin(found, best)
+    kept = [{effect.key for effect in effects} for effects, _ in tried]
+    left = "joint_stiffness.elbow"
+    assert kept == [{f"{name}.shoulder", f"{name}.elbow", left} for name in ("viscous_friction", "armature")]
+    assert all(set(own) == {f"{key}.number" for key in keys} for keys, (_, own) in zip(kept, tried, strict=True))

@@ -157,17 +157,19 @@ def test_a_gap_begins_another_stretch():
 
 
 def test_a_search_starts_where_effects_are_everywhere():
-    """From friction at all joints, with its sizes; from nothing where an effect is at one joint alone."""
+    """From all that is usual, friction with its sizes; from nothing where an effect is at one joint alone."""
     friction_everywhere = recorded(0, friction, seconds=6.0)
     bound = diagnosis_problem(friction_everywhere, BODY)
-    start = start_of(regress(friction_everywhere, BODY), bound, False)
-    assert start.everywhere >= {"viscous_friction", "coulomb_friction"}
+    start = start_of(regress(friction_everywhere, BODY), bound)
+    assert start.everywhere == {"viscous_friction", "coulomb_friction", "armature", "inertial_error"}
+    assert start.values["armature.elbow.inertia"] > 0.0
+    assert start.values["inertial_error.fore.mass"] == 0.0
     assert start.values["coulomb_friction.shoulder.torque"] == pytest.approx(0.5, rel=0.1)
     keys = {effect.key for effect in start.effects}
     assert {name.rpartition(".")[0] for name in start.values} == keys
     one = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]), seconds=6.0)
-    assert start_of(regress(one, BODY), bound, False).effects == ()
-    assert start_of(None, bound, False).effects == ()
+    assert start_of(regress(one, BODY), bound).effects == ()
+    assert start_of(None, bound).effects == ()
 
 
 def test_links_that_were_found_are_those_of_the_model():
