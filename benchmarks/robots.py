@@ -32,8 +32,8 @@ from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.recordings import Recording, write_table
 
 STEP, RATE, SECONDS = 2.5e-4, 100.0, 10.0
-DRY, INSIDE = 0.999, 0.9
-"""Impedance of dry friction; share of the way to a joint's stops that targets go."""
+DRY, INSIDE, TINY = 0.999, 0.9, 1e-9
+"""Impedance of dry friction; share of the way to a joint's stops that targets go; an angle, rad, that is none."""
 CHANGES = {
     "none": "",
     "friction": "coulomb_friction",
@@ -61,7 +61,9 @@ def played(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[np.ndarray,
 
     whole = wave(np.arange(0, SECONDS, 1 / RATE))
     low, high = np.where(model.jnt_limited, model.jnt_range.T - middle, [[-np.inf], [np.inf]])
-    size *= np.minimum(1.0, INSIDE * np.minimum(low / whole.min(0), high / whole.max(0)))
+    size *= np.minimum(
+        1.0, INSIDE * np.minimum(low / np.minimum(whole.min(0), -TINY), high / np.maximum(whole.max(0), TINY))
+    )
 
     def target(t: float) -> np.ndarray:
         return np.asarray(middle + wave(t))
