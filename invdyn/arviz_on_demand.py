@@ -24,6 +24,7 @@ class _OnDemand(ModuleType):
         spec: Any = self.__spec__
         self.__path__ = spec.submodule_search_locations
         if name in FROM_DATA:
+            vars(self).update(__version__=version("arviz"), _log=getLogger("arviz"))  # which its data takes from it
             import_module("arviz.utils")
             found = getattr(import_module("arviz.data"), name)
             setattr(self, name, found)
@@ -39,6 +40,5 @@ def register() -> None:
     if "arviz" not in sys.modules and (spec := find_spec("arviz")) is not None:
         package = module_from_spec(spec)
         del package.__path__
-        vars(package).update(__version__=version("arviz"), _log=getLogger("arviz"))  # which its data takes from it
         package.__class__ = _OnDemand
         sys.modules["arviz"] = package
