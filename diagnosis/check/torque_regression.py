@@ -6,6 +6,7 @@ both lose the same.
 Shapes: R rows, K joints, P unknowns. Units: rad, s, N·m.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +17,6 @@ from invdyn.diagnosis.check.robot_terms import RobotTerms
 from invdyn.diagnosis.regression.regressors import filed_torques, inverse
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.local_polynomial import local_polynomial
 from invdyn.recordings.logs.mapping import JointMap
 
 
@@ -157,17 +157,28 @@ def smoothed(
         return None
     rows = np.stack([np.interp(even, seen, q) for q in angle[use].T], -1)
     stride = max(1, len(even) * max(angle.shape[1], 2) // (2 * rules.check.max_fit_rows))
-    middles = slice(window // 2, len(even) - window // 2, stride)
     width = np.minimum(even + step / 2, time[-1]) - np.maximum(even - step / 2, time[0])
 
     def smooth(given: np.ndarray) -> np.ndarray:
         # constant: over half a row before and after each even one, on average
         total = np.concatenate([np.zeros((1, given.shape[1])), np.cumsum(given[:-1] * np.diff(time)[:, None], 0)])
         area = [np.stack([np.interp(even + way * step / 2, time, each) for each in total.T], -1) for way in (-1, 1)]
-        return local_polynomial((area[1] - area[0]) / width[:, None], window, 3)[middles]
+        return _local_cubic((area[1] - area[0]) / width[:, None], window, 0, step, stride)
 
-    q, qd, qdd = (local_polynomial(rows, window, 3, n, step)[middles] for n in range(3))
+    q, qd, qdd = (_local_cubic(rows, window, n, step, stride) for n in range(3))
     return Motion(q, qd, qdd, smooth(torque), smooth=smooth, rules=rules)
+
+
+def _local_cubic(rows: np.ndarray, window: int, order: int, step: float, stride: int) -> np.ndarray:
+    """A derivative of the cubic through each ``window`` of even rows (T, K) at its middle, (T − window + 1, K).
+
+    Every ``stride``-th of these.
+
+    :func:`scipy.signal.savgol_filter` without its ends, and without the second that scipy.signal takes to import.
+    """
+    place = np.arange(window) - window // 2
+    weights = np.linalg.pinv(np.vander(place, 4, increasing=True))[order] * math.factorial(order) / step**order
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(rows, window, axis=0)[::stride] @ weights)
 
 
 def as_large(dynamics: Dynamics, body: Any, motion: Motion) -> Motion:
