@@ -8,7 +8,7 @@ Student t's. What no number explains, such as a servo that slews, then counts li
 begins at the smoothed state (:mod:`.engine_replays`); n is its length in correlation times. Gauss–Newton with damped
 steps; slopes are differences of replays, all of a window in one batch.
 
-Every third window is inside out. There the fit is compared with the file and with what the regression alone writes, and
+Every third window is held out. There the fit is compared with the file and with what the regression alone writes, and
 the likelihood is tempered, H/c² + prior, until an ensemble's bands hold `ensemble_coverage` of the rows: what the
 simulation lacks is then in its width, and a number of which the logs say nothing stays as wide as its prior.
 
@@ -142,7 +142,7 @@ def refined(
 
 
 def split(every: Sequence[Window]) -> tuple[list[Window], list[Window]]:
-    """Windows to fit, and every third one, which is inside out; of many, `max_refine_windows` that lie evenly."""
+    """Windows to fit, and every third one, which is held out; of many, `max_refine_windows` that lie evenly."""
     order = np.linspace(0, len(every) - 1, min(len(every), FIXED.max_refine_windows)).round().astype(int)
     return [every[n] for m, n in enumerate(order) if m % 3 != 2], [every[n] for n in order[2::3]]
 
