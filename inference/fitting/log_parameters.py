@@ -56,8 +56,8 @@ class LogParameters(Generic[M]):
             )
         entries = [f.indices(model.parameters[f.name].numel()) for f in self.free]
         sizes = [1 if f.tied else len(own) for f, own in zip(self.free, entries, strict=True)]
-        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-        self.sd = np.concatenate([np.full(n, f.sd) for n, f in zip(sizes, self.free, strict=True)])
+        self.slices = np.split(np.arange(sum(sizes)), np.cumsum(sizes))[:-1]
+        self.sd = np.array([f.sd for n, f in zip(sizes, self.free, strict=True) for _ in range(n)], float)
         self.labels = [
             f.name if size == 1 else f"{f.name}[{k}]"
             for f, own, size in zip(self.free, entries, sizes, strict=True)

@@ -52,7 +52,8 @@ class Candidate(Generic[M]):
     """A model with the parameters that its fit began at, which of them are free, and the fit.
 
     Attributes:
-        of_more_rows: whether the fit is of other rows as well: draws are then those of its Laplace posterior.
+        of_more_rows: whether the fit is of other rows as well: draws are then those of its Laplace posterior, which
+            is the prior of these rows, and ``fit.log_marginal`` is its evidence.
     """
 
     model: M
@@ -94,8 +95,9 @@ def given_the_rest(candidate: Candidate[M], wanted: Callable[[Free], bool]) -> C
     others[places] = 0.0
     phi, sd = candidate.fit.phi[places], parameters.sd[places]
     covariance = np.linalg.inv(np.linalg.inv(candidate.fit.covariance)[np.ix_(places, places)])
-    volume = 0.5 * np.linalg.slogdet(covariance)[1] - np.log(sd).sum()
-    marginal = candidate.fit.log_evidence - 0.5 * ((phi / sd) ** 2).sum() + volume
+    marginal = candidate.fit.log_evidence
+    if not candidate.of_more_rows:
+        marginal += 0.5 * np.linalg.slogdet(covariance)[1] - np.log(sd).sum() - 0.5 * ((phi / sd) ** 2).sum()
     found = replace(candidate.fit, phi=phi, covariance=covariance, log_marginal=marginal)
     return replace(candidate, model=parameters.at(torch.as_tensor(others)), free=kept, fit=found)
 
@@ -136,8 +138,7 @@ def parameter_draws(candidates: Sequence[Candidate[M]], observations: Tensor, co
     found = []
     for k in chosen.tolist():
         candidate = candidates[owners[k]]
-        known = not candidate.free
-        model = candidate.fit.model if known else _parameters(candidate).at(phi[k])
+        model = _parameters(candidate).at(phi[k])
         found.append(ParameterSet(int(owners[k]), model, paths[k], whole - float(log_evidence[k])))
     return found
 
@@ -173,8 +174,10 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     log_evidence = torch.as_tensor(evidence).nan_to_num(-torch.inf, neginf=-torch.inf, posinf=-torch.inf)
     if not bool(torch.isfinite(log_evidence).any()):
         return fitted
-    told = torch.full_like(log_evidence, found.log_evidence) if candidate.of_more_rows else log_evidence
-    return told + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
+    explained = log_evidence
+    if candidate.of_more_rows:
+        explained = torch.where(log_evidence.isfinite(), found.log_evidence, -torch.inf)
+    return explained + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
 
 
 def _parameters(candidate: Candidate[M]) -> LogParameters[M]:

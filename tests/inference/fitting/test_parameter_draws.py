@@ -9,6 +9,7 @@ from pyro.distributions import Normal
 from scipy.stats import multivariate_normal, norm
 
 from invdyn.inference import Free, fit
+from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.fitting.parameter_draws import (
     Candidate,
     given_the_rest,
@@ -113,6 +114,34 @@ def test_some_parameters_are_drawn_given_the_others(rows):
     _, mean, sd = exact(rows.squeeze(-1).numpy(), one.model.parameters["noise"].item())
     assert phi.mean() == pytest.approx(mean, abs=0.4 * sd)
     assert phi.std() == pytest.approx(sd, rel=0.3)
+
+
+def test_other_rows_posterior_has_no_cost_of_a_prior(rows):
+    """It is the prior of these rows: nothing is integrated out, also where only some parameters are drawn."""
+    free = [Free("noise", sd=WIDE), Free("step", sd=WIDE)]
+    both = Candidate(Walk(0.3), free, fit(Walk(0.3), rows, free), of_more_rows=True)
+    one = given_the_rest(both, lambda each: each.name == "step")
+    assert one.fit.log_marginal == one.fit.log_evidence
+    assert given_the_rest(replace(both, of_more_rows=False), lambda each: each.name == "step").fit.log_marginal < (
+        one.fit.log_evidence
+    )
+
+
+@pytest.mark.parametrize("of_more_rows", [False, True])
+def test_a_draw_without_evidence_is_never_drawn(rows, candidates, monkeypatch, of_more_rows):
+    """Its weight is 0, so that all that are drawn have finite offsets."""
+    around = Objective.around
+
+    def half(self, phi, others):
+        evidence, paths = around(self, phi, others)
+        return np.where(others[:, 0] > phi[0], -np.inf, evidence), paths
+
+    monkeypatch.setattr(Objective, "around", half)
+    torch.manual_seed(0)
+    one = replace(candidates[0], of_more_rows=of_more_rows)
+    sets = parameter_draws([one], rows, 20)
+    assert np.isfinite([each.offset for each in sets]).all()
+    assert max(np.log(each.model.parameters["step"].item() / START) for each in sets) <= one.fit.phi[0]
 
 
 def test_what_other_rows_told_is_not_told_again(rows, candidates):

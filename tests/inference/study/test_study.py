@@ -98,6 +98,13 @@ def test_a_session_shares_one_set_of_parameters(study, trials):
     assert min(noise) < shared < max(noise)
 
 
+def test_a_trial_of_which_nothing_is_fitted_has_a_posterior(trials):
+    how = replace(HOW, settings={"torque.scale": 3.0, "torque.decay": 3.0, "emission.keypoint_scale": 0.01})
+    found = run_study(trials[:1], how)
+    assert not found.left_out
+    assert found.posteriors[0]["torque"].isfinite().all()
+
+
 @pytest.mark.long
 def test_a_session_shares_its_body(trials, monkeypatch):
     """Links known to a tenth, stated too long; a trial draws them from what all rows of the session tell."""
