@@ -13,7 +13,7 @@ from stiff_arm import arm
 
 from invdyn.inference import Free, fit
 from invdyn.inference.fitting import objective
-from invdyn.inference.fitting.objective import Objective
+from invdyn.inference.fitting.objective import FRESH, Objective
 from invdyn.inference.smoothing import posterior_linearisation
 from invdyn.inputs import load_body
 from invdyn.models import Keypoints, Observation, StateSpaceModel
@@ -310,3 +310,28 @@ def test_of_many_parameters_the_hessian_is_whole_where_the_search_ends(chain, y)
     along = together.T @ (found - np.diag(many.sd**-2)) @ together
     assert along == pytest.approx(expected, abs=0.02 * np.abs(expected).max())
     assert many.hessian(phi) == pytest.approx(found, abs=0)
+
+
+@pytest.mark.parametrize("fails", ["raises", "is infinite"])
+def test_an_evaluation_that_fails_leaves_no_trace(chain, y, monkeypatch, fails):
+    """The Hessian where the search ends is of what was evaluated there, and the path where it ended begins the next."""
+    model, rows = chain.model(STEPS), torch.as_tensor(y)
+    free = [Free("transition_root"), Free("emission_root", sd=0.7)]
+    clean, tried = Objective(model, rows, free, None), Objective(model, rows, free, None)
+    phi = np.zeros(len(clean.sd))
+    shifted = Objective._shifted
+
+    def failing(self, at, *given):
+        evidence, paths = shifted(self, at, *given)
+        if fails == "raises":
+            raise Diverged("too far")
+        return np.full_like(evidence, np.nan), paths
+
+    tried.value(phi)
+    with monkeypatch.context() as patch:
+        patch.setattr(Objective, "_shifted", failing)
+        for far in range(FRESH + 1):
+            assert tried.value(phi + 0.3 * (1 + far)) == 1e10
+    assert tried.curvature(phi) == pytest.approx(clean.curvature(phi), abs=0)
+    assert tried.value(phi + 0.01) == pytest.approx(clean.value(phi + 0.01), abs=1e-9)
+    assert tried.hessian(phi + 0.01) == pytest.approx(clean.hessian(phi + 0.01), rel=1e-6, abs=1e-6)
