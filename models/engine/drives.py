@@ -134,9 +134,10 @@ class Controls(Drive):
         )
 
     def scale(self, model: Any, typical: np.ndarray) -> np.ndarray:
-        """One, of those with limits; else what makes a typical torque by gain and gear."""
+        """One, of those with limits; else what makes, by gain and gear, the largest typical force that they act at."""
         gain = np.abs(model.actuator_gainprm[list(self.places), 0] * model.actuator_gear[list(self.places), 0])
-        free = typical.max() / np.where(gain > 0, gain, 1.0)
+        moved = _moved_by(model, self.places) or slice(None)
+        free = typical[moved].max() / np.where(gain > 0, gain, 1.0)
         return np.where(np.isfinite(self.width), 1.0, free)
 
     def inputs(self, z: np.ndarray) -> np.ndarray:
@@ -173,6 +174,16 @@ def is_muscle(model: Any) -> np.ndarray:
     import mujoco
 
     return np.asarray(model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE))
+
+
+def _moved_by(model: Any, actuators: Sequence[int]) -> list[int]:
+    """Degrees of freedom of actuators' moments in the default pose; of those between bodies not the base's."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rows = [slice(start := data.moment_rowadr[a], start + data.moment_rownnz[a]) for a in actuators]
+    return [int(v) for row in rows for v in data.moment_colind[row][np.abs(data.actuator_moment[row]) > 1e-9]]
 
 
 @dataclass(frozen=True)
@@ -218,10 +229,15 @@ class Inputs:
         """K of all."""
         return len(self.names)
 
-    @property
-    def pushed(self) -> tuple[int, ...]:
-        """Degrees of freedom that a drive's generalised forces act at."""
-        return tuple(place for each in self.drives if each.fills == "QFRC_APPLIED" for place in each.places)
+    def pushed(self, model: Any) -> tuple[int, ...]:
+        """Degrees of freedom that a drive's generalised forces act at, or its actuators in the default pose."""
+        found: list[int] = []
+        for each in self.drives:
+            if each.fills == "QFRC_APPLIED":
+                found += each.places
+            elif each.fills == "CTRL":
+                found += _moved_by(model, each.places)
+        return tuple(found)
 
     @property
     def controls_actuators(self) -> bool:

@@ -36,6 +36,7 @@ from invdyn.models.engine.inverse_kinematics import poses
 from invdyn.models.engine.readings import EngineView, Readings
 from invdyn.models.engine.scene import Scene, engine
 from invdyn.models.engine.simulator import Simulator, unique_steps
+from invdyn.models.engine.typical_forces import typical_forces
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.observation import Observation
@@ -113,7 +114,7 @@ class EngineModel(StateSpaceModel):
         def constant(value: float, size: int) -> Tensor:
             return torch.full((size,), value, dtype=torch.float64)
 
-        typical = typical_forces(self.scene, self.inputs.pushed)
+        typical = typical_forces(self.scene, self.inputs.pushed(self.scene.model))
         scale = torch.as_tensor(self.inputs.scale(self.scene.model, typical), dtype=torch.float64)
         found = {
             **self.torque.defaults(scale),
@@ -386,33 +387,3 @@ class Memo:
 
 def _unknown(*_: object) -> NoReturn:
     raise WrongValue("this sensor needs accelerations or times between rows, which an engine does not give")
-
-
-def typical_forces(scene: Scene, pushed: Sequence[int] = ()) -> np.ndarray:
-    """Usual generalised forces (nv,), the largest over a few poses.
-
-    Each is what holds the bodies beyond a joint against gravity, or accelerates them by 5/s². A base that no drive
-    pushes, as are ``pushed`` degrees of freedom, stands on its limbs: there a joint may hold all other bodies instead,
-    those of mass m about c, Jᵀ(c) m g.
-    """
-    mujoco = engine(scene.name)
-    model, rng = scene.model, np.random.default_rng(0)
-    data = mujoco.MjData(model)
-    loads, inertia, slope = [], np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
-    roots = model.body_rootid[model.dof_bodyid]
-    stands = [body for body in np.unique(roots) if set(np.flatnonzero(model.dof_bodyid == body)) - set(pushed)]
-    limbs = [body for body in np.unique(model.dof_bodyid) if model.body_rootid[body] in stands and body not in stands]
-    for k in range(20):
-        tangent = rng.uniform(-1, 1, scene.num_joints) * (k > 0)
-        data.qpos[:] = scene.chart.configuration(scene.reference, tangent)
-        mujoco.mj_forward(model, data)
-        loads.append(np.abs(data.qfrc_bias - data.qfrc_passive))
-        mujoco.mj_fullM(model, data, inertia)
-        loads.append(5.0 * np.abs(np.diagonal(inertia)))
-        for body in limbs:
-            root = model.body_rootid[body]
-            moments = model.body_subtreemass[[root, body], None] * data.subtree_com[[root, body]]
-            mass = model.body_subtreemass[root] - model.body_subtreemass[body]
-            mujoco.mj_jac(model, data, slope, None, (moments[0] - moments[1]) / mass, body)
-            loads.append(np.where(model.dof_bodyid == body, np.abs(mass * model.opt.gravity @ slope), 0.0))
-    return np.maximum(np.max(loads, 0), 1e-6)

@@ -10,12 +10,13 @@ import pytest
 import torch
 
 from invdyn.inference import check_model
-from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation
+from invdyn.models import BodyError, Encoders, Keypoints, Matern52, Observation, OrnsteinUhlenbeck
 from invdyn.models.engine.drives import Controls, Given, Inputs, JointTorques, Wrench, turning_dofs
-from invdyn.models.engine.model import EngineModel, typical_forces
+from invdyn.models.engine.model import EngineModel
 from invdyn.models.engine.reactions import joint_reactions
 from invdyn.models.engine.readings import Readings
 from invdyn.models.engine.scene import Scene
+from invdyn.models.engine.typical_forces import typical_forces
 
 F64 = torch.float64
 MUSCLED = """<mujoco model="muscled"><option timestep="0.002" integrator="RK4"/><worldbody>
@@ -184,6 +185,51 @@ def test_limbs_that_carry_a_base_may_hold_all_of_it():
     assert hanging[2] == pytest.approx(9.81 * (0.3 * 0.125 + foot * 0.25) * np.abs(np.sin(hip + knee)).max())
     assert standing[2] == pytest.approx(9.81 * (3 * 0.25 + 0.5 * 0.125) * np.abs(np.sin(hip)).max())
     assert standing[:2] == pytest.approx(hanging[:2])
+
+
+def turret(root: str, motors: str = "") -> Scene:
+    """A base of 50 kg on a ``root`` joint with two links of 1 kg in the vertical plane, unlimited motors at all."""
+    link = '<joint name="{}" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass="1"/>'
+    return Scene.of(
+        f'<mujoco model="turret"><worldbody><body name="base">{root}<geom type="box" size=".2 .2 .1" mass="50"/>'
+        f'<body name="upper" pos=".4 0 0">{link.format("shoulder")}<body name="fore" pos=".2 0 0">'
+        f'{link.format("elbow")}<site name="tip" pos=".2 0 0"/></body></body></body></worldbody>'
+        f'<actuator><motor joint="shoulder"/><motor joint="elbow"/>{motors}</actuator></mujoco>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("root", "falls"),
+    [
+        ('<joint type="hinge" axis="0 0 1" name="root"/>', 0.0),
+        ('<joint type="hinge" axis="0 1 0" name="root"/>', 0.0),
+        ('<joint type="ball" name="root"/>', 0.0),
+        ('<joint type="slide" axis="1 0 0" name="root"/>', 0.0),
+        ('<joint type="slide" axis="1 0 1" name="root"/>', 0.5**0.5),
+        ('<joint type="slide" axis="0 0 1" name="root"/>', 1.0),
+        ('<freejoint name="root"/>', 1.0),
+    ],
+)
+def test_limbs_carry_a_base_only_where_it_can_fall(root, falls):
+    """A bearing takes the rest: a turret's links hold themselves, .98 N·m of the elbow's and 4.9 of the shoulder's."""
+    scene = turret(root)
+    model = EngineModel(scene, np.arange(4) * 0.01, drive=Controls())
+    limbs = typical_forces(scene, JointTorques(("shoulder", "elbow")).bound(scene.model).places)[-2:]
+    assert typical_forces(scene, model.inputs.pushed(scene.model))[-2:] == pytest.approx(limbs)
+    shoulder, elbow = (1 + 3) * 9.81 * 0.1, 9.81 * 0.1
+    usual = OrnsteinUhlenbeck().defaults(torch.tensor([limbs.max()], dtype=F64))["torque.scale"]
+    assert model.parameters["torque.scale"].numpy() == pytest.approx(usual.repeat(2).numpy())
+    if falls:  # all that is not beyond the elbow, within .1 m to .5 m
+        assert 51 * 9.81 * falls * 0.1 < limbs[1] < 51 * 9.81 * falls * 0.7
+    else:
+        assert limbs == pytest.approx([shoulder, elbow])
+
+
+def test_a_base_that_an_actuator_lifts_is_not_carried_by_limbs():
+    lift = turret('<joint type="slide" axis="0 0 1" name="root"/>', '<motor joint="root" name="lift"/>')
+    driven = EngineModel(lift, np.arange(4) * 0.01, drive=Controls()).inputs.pushed(lift.model)
+    assert sorted(driven) == [0, 1, 2]
+    assert typical_forces(lift, driven)[2] == pytest.approx(9.81 * 0.1)
 
 
 def test_processes_of_any_kind_drive_it():
