@@ -13,6 +13,7 @@ Shapes: P log-parameters, B sets of them, T rows, D states.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Generic
 
 import numpy as np
@@ -56,6 +57,33 @@ NOT_FINITE = (
 )
 
 
+@dataclass(frozen=True)
+class _Expansion:
+    """What was found at φ.
+
+    Attributes:
+        phi: its bytes.
+        value: and gradient (P,), Hessian (P, P).
+        path: (T, D) mode.
+        over: mean and covariance that the model was linearised over.
+        alone: log-evidences at φ, and with one parameter up (P,), and the Hessian's diagonal (P,).
+        moves: how mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D).
+        whole: the last Hessian all of whose entries were computed.
+        age: how many evaluations ago that was.
+    """
+
+    phi: bytes
+    value: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    path: Tensor
+    over: tuple[Tensor, Tensor]
+    alone: tuple[np.ndarray, np.ndarray, np.ndarray]
+    moves: tuple[np.ndarray, np.ndarray]
+    whole: np.ndarray
+    age: int
+
+
 class Objective(Generic[M]):
     """Negative log-posterior of φ with gradient and Hessian, and a warm-started path."""
 
@@ -64,17 +92,8 @@ class Objective(Generic[M]):
         self.free, self.slices, self.sd = self.parameters.free, self.parameters.slices, self.parameters.sd
         self.path = start
         self.heavy = not is_gaussian(model.emission(observations.new_zeros(1, model.state_dim), torch.arange(1)))
-        self._known: tuple[bytes, tuple[float, np.ndarray, np.ndarray]] | None = None
-        # How mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D), at the last
-        # evaluation.
-        self._moves: tuple[np.ndarray, np.ndarray] | None = None
+        self._known: _Expansion | None = None  # of the last evaluation that was finite
         self._noise = np.random.default_rng(0).standard_normal((len(observations), model.state_dim))
-        # The last Hessian all of whose entries were computed, and how many evaluations ago that was.
-        self._whole = np.eye(len(self.sd))
-        self._age = 0
-        # What the last evaluation was linearised over; of its evidences, and the Hessian's diagonal, what pairs need.
-        self._over: tuple[Tensor, Tensor]
-        self._alone: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def at(self, phi: np.ndarray) -> M:
         """See :meth:`LogParameters.at`."""
@@ -94,10 +113,11 @@ class Objective(Generic[M]):
 
     def last_step(self, phi: np.ndarray) -> tuple[np.ndarray, float] | None:
         """The whole Newton step (P,) from φ and the nats it should gain, where it is the last one; else None."""
-        if self._known is None or self._known[0] != phi.tobytes():
+        known = self._known
+        if known is None or known.phi != phi.tobytes():
             return None
-        _, gradient, hessian = self._known[1]
-        values, vectors = np.linalg.eigh(hessian)
+        gradient = known.gradient
+        values, vectors = np.linalg.eigh(known.hessian)
         if values[0] <= 0:
             return None
         step = -vectors @ ((gradient @ vectors) / values)
@@ -109,44 +129,44 @@ class Objective(Generic[M]):
     def curvature(self, phi: np.ndarray) -> np.ndarray:
         """Hessian (P, P) where the search ended: by differences of the gradient if what is seen has heavy tails."""
         _, gradient, hessian = self._evaluate(phi)
+        known = self._known
+        if known is None or known.phi != phi.tobytes():
+            return hessian  # there is no evidence here
         if not self.heavy:
-            if self._age:
+            if known.age:
                 with diverging():
-                    pairs, _ = self._shifted(phi, _pairs(len(phi)), *self._over, 0)
-                hessian = self._paired(pairs)
-                self._known = phi.tobytes(), (self.value(phi), gradient, hessian)
+                    pairs, _ = self._shifted(phi, _pairs(len(phi)), *known.over, 0)
+                hessian = _whole_hessian(known.alone, pairs)
+                self._known = replace(known, hessian=hessian, whole=hessian, age=0)
             return hessian
         steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
-        rows, found = np.zeros_like(hessian), self.path
+        rows = np.zeros_like(hessian)
         try:
             for k, step in enumerate(np.clip(steps, STEP, MAX_GRADIENT_STEP)):
-                self.path = found
                 with diverging():
-                    rows[k] = (self._expand(phi + step * np.eye(len(phi))[k])[1] - gradient) / step
+                    rows[k] = (self._expand(phi + step * np.eye(len(phi))[k]).gradient - gradient) / step
         except Diverged:
             rows = hessian
-        self.path = found
         return (rows + rows.T) / 2
 
     def _evaluate(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        if self._known is None or self._known[0] != phi.tobytes():
-            reached = self.path
+        found = self._known
+        if found is None or found.phi != phi.tobytes():
             try:
                 with diverging():
                     found = self._expand(phi)
-                if not all(np.isfinite(each).all() for each in found):
+                if not all(np.isfinite(each).all() for each in (found.value, found.gradient, found.hessian)):
                     raise Diverged(NOT_FINITE)
             except Diverged:
                 if self._known is None:
                     raise
                 # Out of the linearisation's reach: the trust region shrinks.
-                self.path = reached
                 return 1e10, np.zeros_like(phi), np.eye(len(phi))
-            self._known = (phi.tobytes(), found)
-        return self._known[1]
+            self._known, self.path = found, found.path
+        return found.value, found.gradient, found.hessian
 
-    def _expand(self, phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient and Hessian at φ.
+    def _expand(self, phi: np.ndarray) -> _Expansion:
+        """What is found at φ, from the last mode.
 
         Entries off the Hessian's diagonal take P (P − 1)/2 parameter sets, all else 2P + 1. Where they are twice as
         many, they are computed after ``FRESH`` evaluations, again after as many, and where the search ends; till then
@@ -157,34 +177,30 @@ class Objective(Generic[M]):
         mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
-        self.path = mode.path  # it obeys the dynamics, which the posterior's mean does not quite
-
+        last, age = (np.eye(size), 0) if self._known is None else (self._known.whole, self._known.age)
         unit, pairs = STEP * np.eye(size), _pairs(size)
-        whole = len(pairs) <= 2 * (2 * size + 1) or self._age >= FRESH
+        whole = len(pairs) <= 2 * (2 * size + 1) or age >= FRESH
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, pairs[: len(pairs) if whole else 0]])
-        self._over = smoother.path, smoother.covariance()
-        evidence, paths = self._shifted(phi, shifts, *self._over, 1 + 2 * size)
+        over = smoother.path, smoother.covariance()
+        evidence, paths = self._shifted(phi, shifts, *over, 1 + 2 * size)
         middle, up, down, both = np.split(evidence, [1, 1 + size, 1 + 2 * size])
         slope = (paths[:, 1 : 1 + size] - paths[:, 1 + size :]) / (2 * STEP)
-        self._moves = slope, self._over[1].diagonal(dim1=-2, dim2=-1).numpy()
         precision = 1 / self.sd**2
         gradient = phi * precision - (up - down) / (2 * STEP)
-        self._alone = middle, up, precision - (up + down - 2 * middle) / STEP**2
-        if whole:
-            hessian = self._paired(both)
-        else:
-            hessian, self._age = _with_diagonal(self._whole, self._alone[2]), self._age + 1
-        value = smoother.log_evidence.item() - 0.5 * (phi**2 * precision).sum()
-        return -value, gradient, hessian
-
-    def _paired(self, evidence: np.ndarray) -> np.ndarray:
-        """The whole Hessian (P, P), which is kept, of the log-evidence with two parameters up, (P (P − 1)/2,)."""
-        middle, up, diagonal = self._alone
-        hessian = np.diag(diagonal)
-        first, second = np.triu_indices(len(up), 1)
-        hessian[first, second] = hessian[second, first] = -(evidence - up[first] - up[second] + middle) / STEP**2
-        self._whole, self._age = hessian, 0
-        return hessian
+        alone = middle, up, precision - (up + down - 2 * middle) / STEP**2
+        hessian = _whole_hessian(alone, both) if whole else _with_diagonal(last, alone[2])
+        return _Expansion(
+            phi=phi.tobytes(),
+            value=0.5 * (phi**2 * precision).sum() - smoother.log_evidence.item(),
+            gradient=gradient,
+            hessian=hessian,
+            path=mode.path,  # it obeys the dynamics, which the posterior's mean does not quite
+            over=over,
+            alone=alone,
+            moves=(slope, over[1].diagonal(dim1=-2, dim2=-1).numpy()),
+            whole=hessian if whole else last,
+            age=0 if whole else age + 1,
+        )
 
     def around(self, phi: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, Tensor]:
         """Log-evidence (B,) at ``others`` (B, P), linearised over the posterior at φ, and where their modes are about.
@@ -200,8 +216,8 @@ class Objective(Generic[M]):
 
     def moved(self, step: np.ndarray) -> Tensor:
         """By how much the mean path (T, D) moves with a ``step`` (P,) of φ from where it was evaluated last."""
-        assert self._moves is not None
-        return torch.as_tensor(np.einsum("p,ptd->td", step, self._moves[0][0]))
+        assert self._known is not None
+        return torch.as_tensor(np.einsum("p,ptd->td", step, self._known.moves[0][0]))
 
     def scatter(self, covariance: np.ndarray) -> np.ndarray:
         """Squared error (D,), as a share, of a state's variance where one φ is drawn, of a ``covariance`` C (P, P).
@@ -210,8 +226,8 @@ class Objective(Generic[M]):
         717), an average over rows, and one draw of it tells b up to √2 b. With slopes of a draw's way from the mean,
         that is √P u for a u that stays, the same average is a quarter of the variance v² of log P: 2 b² + v².
         """
-        assert self._moves is not None
-        slopes, variance = self._moves
+        assert self._known is not None
+        slopes, variance = self._known.moves
         added = np.einsum("sptd,pq,sqtd->std", slopes, covariance, slopes, optimize=True)
         share = np.divide(added, variance, out=np.zeros_like(added), where=variance > 0).mean(1)
         return np.nan_to_num(2 * share[0] ** 2 + 4 * share[1], nan=np.inf)
@@ -256,6 +272,15 @@ def _pairs(size: int) -> np.ndarray:
     unit = STEP * np.eye(size)
     first, second = np.triu_indices(size, 1)
     return unit[first] + unit[second]
+
+
+def _whole_hessian(alone: tuple[np.ndarray, np.ndarray, np.ndarray], evidence: np.ndarray) -> np.ndarray:
+    """All entries (P, P), of what is known of parameters ``alone`` and the log-evidence with two up, (P (P − 1)/2,)."""
+    middle, up, diagonal = alone
+    hessian = np.diag(diagonal)
+    first, second = np.triu_indices(len(up), 1)
+    hessian[first, second] = hessian[second, first] = -(evidence - up[first] - up[second] + middle) / STEP**2
+    return hessian
 
 
 def _with_diagonal(hessian: np.ndarray, diagonal: np.ndarray) -> np.ndarray:

@@ -209,10 +209,10 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
 
     monkeypatch.setattr(posterior_linearisation, "regress", counted)
     monkeypatch.setattr(objective, "SETS_AT_ONCE", 64)  # all sets at once
-    shared = Objective(model, rows, free, None)._expand(phi)
+    shared = Objective(model, rows, free, None)._evaluate(phi)
     assert fitted[-2:] == [1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
     monkeypatch.setattr(Objective, "_shared_means", lambda *_: None)
-    for one, other in zip(shared, Objective(model, rows, free, None)._expand(phi), strict=True):
+    for one, other in zip(shared, Objective(model, rows, free, None)._evaluate(phi), strict=True):
         # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
@@ -270,9 +270,9 @@ def failing(monkeypatch, fails):
     expand, taken = Objective._expand, []
 
     def expanded(self, phi):
-        value, gradient, hessian = expand(self, phi)
+        found = expand(self, phi)
         taken.append(phi)
-        return value, gradient * (np.nan if fails(phi) else 1.0), hessian
+        return replace(found, gradient=found.gradient * (np.nan if fails(phi) else 1.0))
 
     monkeypatch.setattr(Objective, "_expand", expanded)
     return taken
