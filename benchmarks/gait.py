@@ -1,9 +1,9 @@
-"""The ground's force on a walker, from markers alone, beside the plates that measured it.
+"""The ground's force on a walker, from markers alone, compared with the plates that measured it.
 
 `opensim_gait10`: 2.5 s of walking, 41 markers at 60/s, plates under both feet in all rows, and a model of ten degrees
 of freedom in the sagittal plane. The plates are read for the score alone. Two answers:
 
-- `engine`: MuJoCo's own step is the transition, and what acts on the pelvis from outside is unknown beside the torques
+- `engine`: MuJoCo's own step is the transition, and what acts on the pelvis from outside is unknown, as are the torques
   of hips, knees, ankles and back: its three numbers are the ground's force, and the moment, which together tell the
   centre of pressure c. All ten numbers are Matérn processes, whose scale is fitted.
 - `momentum`: the trivial answer, mass × (g + the centre of mass's acceleration), by inverse kinematics of the same

@@ -1,10 +1,10 @@
 """A robot that walks: joint torques and ground forces of a Unitree Go1 with a floating base, from keypoints.
 
-MuJoCo plays the public model (`unitree_go1` of MuJoCo Menagerie, BSD-3-Clause; meshes are for pictures and left out)
-as it trots by its own position servos. Keypoints of feet, knees, hips and trunk at 100 Hz have 2 mm of noise. Torques
-of the twelve joints and the force of the floor on each foot are inferred by `infer_engine`. The table has errors of the
-vertical force as shares of the body's weight, over rows in which a foot stands, and of all feet's sum over all rows;
-the share of rows in which 90 % bands hold the truth; CPU seconds and peak memory.
+MuJoCo simulates the public model (`unitree_go1` of MuJoCo Menagerie, BSD-3-Clause; meshes are for pictures and left
+out) as it trots by its own position servos. Keypoints of feet, knees, hips and trunk at 100 Hz have 2 mm of noise.
+Torques of the twelve joints and the force of the floor on each foot are inferred by `infer_engine`. The table has
+errors of the vertical force as shares of the body's weight, over rows in which a foot stands, and of all feet's sum
+over all rows; the share of rows in which 90 % bands hold the truth; CPU seconds and peak memory.
 
     python benchmarks/quadruped.py [--seconds 2] [--seeds 1] [--files FOLDER] [--results FILE]
 
@@ -41,13 +41,13 @@ GO1 = Source(
 LEGS = ("FR", "FL", "RR", "RL")
 TRUNK = {"neck": (0.25, 0, 0.06), "tail": (-0.25, 0, 0.06), "left": (0, 0.09, 0.06), "right": (0, -0.09, 0.06)}
 INTERVAL, SETTLING = 0.01, 1.0
-"""S between rows, and of walking before the first one."""
+"""Time between rows, and of walking before the first one, s."""
 SHANK = 0.213
-"""M, length of thigh and shank."""
+"""Length of thigh and shank, m."""
 PERIOD, DUTY, STRIDE, LIFT, HEIGHT = 0.5, 0.6, 0.12, 0.05, 0.27
-"""Of the trot: s, share of it on the floor, m along the floor, m above it, m of the hips."""
+"""The trot's period, s, share of it with a foot on the floor, step and lift of a foot, and height of the hips, m."""
 STANDS = 5.0
-"""N of true force from which on a foot stands."""
+"""Least true force on a foot that stands, N."""
 
 
 @dataclass(frozen=True)

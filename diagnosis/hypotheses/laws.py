@@ -1,7 +1,7 @@
 """The laws under which causes are compared: sub-steps of the integrator, steps of the file's engine, tails of the
 noise.
 
-A law is no cause: it is part of the model of every cause in a pool. The likelier law is kept.
+A law is no cause: it is part of the model of every cause in a pool. The more probable law is kept.
 
 Sub-steps
 ---------
@@ -24,9 +24,9 @@ A robot, or an engine of high order, moves as the equations say. An engine that 
 
     τ = u(t + h/2) − u(t) ≈ h/2 K ċ,        of a servo with targets c, ċ ≈ θ̇,
 
-and would be taken for one. Both laws are as probable before, and neither is a cause. Under the law whose "no effect" is
-likelier the search is made. The best cause, its parts and "no effect" are then compared with the other law, and where
-one of them is likelier there, the search is made under that as well:
+and would be taken for one. Both laws are as probable before, and neither is a cause. The search is made under the law
+whose "no effect" is more probable. The best cause, its parts and "no effect" are then compared with the other law, and
+where one of them is more probable there, the search is made under that as well:
 
     log p(y | cause, law) + log P(cause)
 

@@ -265,8 +265,8 @@ def test_draws_of_an_uncertain_body_keep_what_was_fitted_or_given(learn_lengths)
     task = prepare(
         recording, uncertain, options=SMCOptions(3, 2, 2), seed=0, learn_lengths=learn_lengths, settings=settings
     )
-    begun = task.candidates[0].model.parameters["body.mass"]
-    assert begun[0] == uncertain.links[0].mass.loc.exp()  # φ = 0 is the prior's median, not its mean
+    start = task.candidates[0].model.parameters["body.mass"]
+    assert start[0] == uncertain.links[0].mass.loc.exp()  # φ = 0 is the prior's median, not its mean
     fitted = task.problem.model.body_parameters()
     assert torch.equal(fitted.length, length) != learn_lengths
     own = given_the_rest(task.candidates[0], lambda free: free.entries == (0,) and free.name == "body.mass")

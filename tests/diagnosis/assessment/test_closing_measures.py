@@ -71,9 +71,11 @@ def test_a_search_that_is_not_behind_is_shown(regression):
     assert closing.to_json()["torque"][SEARCH]["closed"] > 0.9
 
 
-@pytest.mark.parametrize(("worse", "is_behind"), [((1.5, 1.5, 1.5), True), ((0.5, 0.5, 4.0), False), ((4.0,), False)])
+@pytest.mark.parametrize(
+    ("worse", "is_behind"), [((1.5, 1.5, 1.5), True), ((0.5, 0.5, 4.0), False), ((4.0,), True), ((1.01,), False)]
+)
 def test_a_search_is_behind_in_replays_that_show_it(worse, is_behind):
-    """In parts of four: once by far of three is chance, and one alone tells nothing; the torque is the same."""
+    """In parts of four: once by far of three is chance; of one alone the means decide; the torque is the same."""
     errors = {who: 0.1 * np.ones(4 * len(worse)) for who in ("nominal", REGRESSION, SEARCH)}
     errors["nominal"], errors[SEARCH] = 10 * errors["nominal"], errors[SEARCH] * np.repeat(worse, 4)
     same = SimpleNamespace(before=np.ones(2), after=0.1 * np.ones(2))
