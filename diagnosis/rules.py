@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.recordings import InputError
+from invdyn.recordings.naming import closest
+
 COLUMNS = ("unit", "meaning", "source")
 
 
@@ -321,10 +324,12 @@ class Rules:
     check: CheckRules = CheckRules()
 
     def replace(self, **values: Any) -> "Rules":
-        """The rules with other values, by the numbers' own names; raises TypeError for a name that there is not."""
+        """The rules with other values, by the numbers' own names; raises InputError for a name that there is not."""
         groups = {each.name: getattr(self, each.name) for each in fields(self)}
-        if unknown := values.keys() - {name for group in groups.values() for name in vars(group)}:
-            raise TypeError(f"expected names of rules, got {', '.join(sorted(unknown))}: docs/numbers.md lists them")
+        known = [name for group in groups.values() for name in vars(group)]
+        for name in values:
+            if name not in known:
+                raise InputError(f"unknown rule {name!r}{closest(name, known)}: docs/numbers.md lists all")
         return replace(
             self,
             **{

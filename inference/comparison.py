@@ -45,10 +45,10 @@ from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.mcmc.mixing import mixing
-from invdyn.inference.methods.registry import present_name
 from invdyn.inference.posterior.files import packed, unpacked
 from invdyn.inference.posterior.posterior import evidence_note
 from invdyn.inference.posterior.scores import score_table
+from invdyn.inference.renamed_methods import present_name
 from invdyn.recordings import InputError
 from invdyn.recordings.errors import first_line
 

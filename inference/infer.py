@@ -9,7 +9,8 @@ import arviz as az
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.memory import check_memory
-from invdyn.inference.methods.registry import METHODS, present_name
+from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.renamed_methods import present_name
 from invdyn.inference.task import prepare
 from invdyn.models import ArticulatedBody, TorqueProcess
 from invdyn.recordings import InputError, Recording, SiteForce, Truth

@@ -15,6 +15,7 @@ from invdyn.inference.fitting.scales_on_linearisation import fit_scales
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS
 from invdyn.inference.posterior.engine_contents import hidden
 from invdyn.inference.posterior.engine_problem import EngineProblem, engine_problem
+from invdyn.inference.renamed_methods import present_name
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Scene, TorqueProcess
 from invdyn.models.engine.drives import Drive
@@ -69,6 +70,7 @@ def infer_engine(
     Raises InputError where the recording does not fit, for an unknown method or parameter; BodyError for a drive that
     the model does not have; Diverged for one whose simulation runs away along the recording.
     """
+    method = present_name(method)
     if method not in ENGINE_METHODS:
         raise InputError(f"expected a method among {', '.join(ENGINE_METHODS)} for MuJoCo's engine, got {method!r}")
     options = SMCOptions(num_filters, num_particles, num_draws)

@@ -23,6 +23,7 @@ from invdyn.inference.execution.progress import Progress
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, OF_ARMS, PARAMETER_METHODS, RESUMED
 from invdyn.inference.posterior.problem import StateSpaceProblem
+from invdyn.inference.renamed_methods import present_name
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -119,6 +120,7 @@ def infer_states(
     Raises ModelError, a ValueError of one line, for a model that contradicts itself or its rows, or a method that
     cannot serve it; InputError for sizes that no machine has; SMCFailed where all particles have weight zero.
     """
+    method = present_name(method)
     sizes = given_sizes(num_filters, num_particles, num_draws)
     options = SMCOptions(**sizes, smoothing=smoothing, device=device, filters_per_task=filters_per_task)
     own = {method: parameter_sizes(method, sizes) | arguments}

@@ -20,6 +20,7 @@ from invdyn.inference.fitting.marginal_likelihood import fit
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.base_motion import hold_base
 from invdyn.inference.posterior.initialise import arm_problem
+from invdyn.inference.renamed_methods import present_name
 from invdyn.models import ArmModel, ArticulatedBody, Body, KinematicModel
 from invdyn.models.articulated.defaults import Value
 from invdyn.recordings import InputError, Recording, Truth
@@ -66,6 +67,7 @@ def infer_kinematics(
 
     Raises InputError: the recording does not fit the body or is a film, an unknown parameter, or another method.
     """
+    method = present_name(method)
     if method not in SAMPLERS:
         raise InputError(f"--torque none: expected a method among {', '.join(SAMPLERS)}, got {method!r}")
     if isinstance(recording, Filmed):

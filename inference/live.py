@@ -1,8 +1,8 @@
 """Torques of an arm while it moves: rows in as they come, torques with bands out a stated lag later.
 
-What is fitted in a recording (noise, and the torques' scale and decay), is learned once, on a recording of the same arm
-and the same sensors, and then stands. Torques are an Ornstein–Uhlenbeck process, not the default of
-:func:`invdyn.inference.infer` is: with parameters that are fitted, not drawn, bands of smoother ones are too narrow.
+The noise, and the torques' scale and decay, are fitted once, on a recording of the same arm and the same sensors, and
+then stand. Torques are an Ornstein–Uhlenbeck process, which is not the default of :func:`invdyn.inference.infer`: with
+parameters that are fitted, not drawn, bands of smoother processes are too narrow.
 
 The rows that follow are put on the calibration's grid of times: a row belongs to the step nearest to its time. Steps
 without a row are taken as missing, a second row of a step fills in what the first one

@@ -5,19 +5,17 @@ from typing import Annotated
 
 import typer
 
-from .console import print_line
 from .settings import Setting, yes
 
 MAX_SEED = 2**63 - 1  # what torch and netCDF can hold
 MAX_WORKERS = 1024  # processes
 
 
-def one_name(methods: str) -> str:
-    """Names of methods; "nested" has become "smc", and for one version a warning says so."""
-    names = [name.strip() for name in methods.split(",")]
-    if "nested" in names:
-        print_line("warning", "the method nested is now smc; the old name works in this version alone")
-    return ",".join("smc" if name == "nested" else name for name in names)
+def present_names(methods: str) -> str:
+    """Names of methods, of a renamed one the new name: `compare --out` has a file of each."""
+    from invdyn.inference.renamed_methods import present_name
+
+    return ",".join(present_name(name.strip()) for name in methods.split(","))
 
 
 BodyFile = Annotated[
@@ -40,8 +38,10 @@ Tracker = Annotated[
     typer.Option(help="What tracks a film: the left or right arm of a person, or a network of `invdyn train`."),
 ]
 ZeroTorque = Annotated[bool, typer.Option("--zero-torque", help="No torque acts: the body moves freely.")]
-Method = Annotated[str, typer.Option(callback=one_name, help="Inference method; an unknown name lists them all.")]
-Methods = Annotated[str, typer.Option(callback=one_name, help="Such as smc,bootstrap; an unknown name lists them all.")]
+Method = Annotated[str, typer.Option(callback=present_names, help="Inference method; an unknown name lists them all.")]
+Methods = Annotated[
+    str, typer.Option(callback=present_names, help="Such as smc,bootstrap; an unknown name lists them all.")
+]
 Replicates = Annotated[int, typer.Option(min=1, help="Runs of each method, with different seeds.")]
 Isolate = Annotated[bool, Setting("yes: each method in a process of its own, so that its memory is measured", yes)]
 Filters = Annotated[int, typer.Option(min=1, help="Independent filters.")]

@@ -221,12 +221,12 @@ def curves(idata: az.InferenceData) -> dict[str, np.ndarray]:
 
 OF_ENGINE = {
     "activation": "activation",
-    "actuator_force": "force",
+    "actuator_force": "actuator_force",
     "contact_force": "force",
     "reaction_force": "reaction_force",
     "reaction_moment": "reaction_moment",
 }
-"""Variables of MuJoCo's engine, and what their columns end in."""
+"""Variables of MuJoCo's engine, and what their columns end in: a joint and its actuator may share a name."""
 
 
 def engine_curves(idata: az.InferenceData) -> dict[str, np.ndarray]:

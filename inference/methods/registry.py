@@ -5,7 +5,6 @@ filter alone is its case M = 1.
 """
 
 import time
-import warnings
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -38,14 +37,6 @@ def timed(method: Method) -> Method:
         return idata
 
     return run
-
-
-def present_name(method: str) -> str:
-    """The method's name; of one that was renamed the new one, and for one version a warning says so."""
-    if method != "nested":
-        return method
-    warnings.warn("the method 'nested' is now 'smc'; the old name works in this version alone", stacklevel=3)
-    return "smc"
 
 
 METHODS: dict[str, Method] = {

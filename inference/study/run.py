@@ -8,6 +8,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from invdyn.inference.execution.distribute import Tensors, distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.methods.registry import METHODS
+from invdyn.inference.renamed_methods import present_name
 from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import fit_trial, infer_trial, parameters_of, said, share_session
@@ -45,6 +47,7 @@ def run_study(
     Raises InputError for no trials, two of one name, an unknown method, or a checkpoint of another study; LostWork.
     """
     how = how or How()
+    how = replace(how, method=present_name(how.method))
     if how.method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}, got {how.method!r}")
     if not trials:

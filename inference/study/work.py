@@ -49,7 +49,10 @@ Report = Callable[[int, int], None] | None
 
 
 def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
-    """Fitted parameters ("value <name>"), the mode ("path"), and words: notes, or why it is left out."""
+    """Fitted parameters ("value <name>"), "covariance" (P, P) of their φ, the mode ("path"), and words.
+
+    The words are notes, or why it is left out.
+    """
 
     def work() -> Tensors:
         problem, free = bound(trial, how)
@@ -64,7 +67,10 @@ def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
 
 
 def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
-    """Parameters by the summed evidence ("value <name>"), "covariance" (P, P) of their φ, "log_evidence" (N,)."""
+    """Parameters by the summed evidence ("value <name>"), "covariance" (P, P) of their φ, "log_evidence" (N,).
+
+    One trial alone keeps its own fit, and has no "log_evidence".
+    """
 
     def work() -> Tensors:
         problems, frees = zip(*(bound(trial, how) for trial in trials), strict=True)

@@ -13,6 +13,7 @@ import invdyn.diagnosis as room
 from invdyn.diagnosis import Rules, diagnose
 from invdyn.diagnosis.rules import COLUMNS, DEFAULT, numbers
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
 
 ROOT = Path(room.__file__).resolve().parent
 SOURCES = {p: ast.parse(p.read_text("utf-8")) for p in sorted(ROOT.rglob("*.py"))}
@@ -57,7 +58,9 @@ def test_rules_are_immutable_and_know_their_names():
         DEFAULT.evidence.tolerance = 1.0
     assert DEFAULT.replace(tolerance=0.2, max_rows=9).recording.max_rows == 9
     assert DEFAULT.replace() == DEFAULT == Rules()
-    with pytest.raises(TypeError, match="expected names of rules, got nonsense"):
+    with pytest.raises(InputError, match=r"unknown rule 'min_outlier' \(closest: 'min_outliers'\): docs/numbers.md"):
+        DEFAULT.replace(tolerance=0.2, min_outlier=5)
+    with pytest.raises(InputError, match="unknown rule 'nonsense': docs"):
         DEFAULT.replace(nonsense=1.0)
 
 

@@ -8,6 +8,7 @@ from robot_xml import robot
 
 from invdyn.inference import load_posterior
 from invdyn.models.engine.needed import reasons_for_engine
+from invdyn.outputs import OutputFiles
 from invdyn.recordings import Recording, read_sto, write_keypoint_csv
 
 ROWS = 16
@@ -46,6 +47,16 @@ def test_a_leg_from_its_file_to_its_forces(leg, run):
     assert {"floor-foot_force_z_q05", "thigh_reaction_moment_y_q95"} <= set(for_opensim)
     assert for_opensim["shank_reaction_force_z"].min() < -0.5 * table["floor-foot_force_z"].max() < 0
     assert run("plot", leg / "p.nc", "--out", leg / "again.png").exit_code == 0
+
+
+def test_a_joint_and_an_actuator_of_one_name_have_columns_of_their_own(make_posterior, tmp_path):
+    idata = make_posterior(1).assign_coords(joint=["cart"])
+    idata.constant_data["turns"] = ("joint", [False])
+    force = idata["posterior"]["torque"].rename(joint="actuator") + 100
+    idata.posterior["actuator_force"] = force.assign_coords(actuator=["cart"])
+    OutputFiles((tmp_path / "p.sto", tmp_path / "p.csv")).write(idata)
+    for table, name in ((read_sto(tmp_path / "p.sto"), "cart_force"), (pd.read_csv(tmp_path / "p.csv"), "cart_torque")):
+        np.testing.assert_allclose(table["cart_actuator_force"] - table[name], 100, rtol=1e-6)
 
 
 def test_which_files_need_it(leg, tmp_path):

@@ -39,6 +39,15 @@ def test_a_gripper_closes_by_its_tendon():
     assert sides[0] == pytest.approx(sides[1], rel=0.3)
 
 
+def test_the_old_name_of_a_method_is_known():
+    scene = Scene.of(GRIPPER, dimensions=2)
+    still = Recording(
+        np.arange(3.0), np.empty((3, 0, 2)), (), angles=np.zeros((3, 1)), joint_names=scene.joint_names[:1]
+    )
+    with pytest.warns(UserWarning, match="'nested' is now 'smc'"), pytest.raises(InputError, match="of memory"):
+        infer_engine(still, scene, method="nested", num_filters=10**9)
+
+
 @pytest.mark.long
 def test_a_closed_loop_says_which_torque_is_not_told():
     """One crank moves a four-bar: with one drive its torque is known, with two only their effect on the loop."""

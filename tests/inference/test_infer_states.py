@@ -208,6 +208,12 @@ def test_what_has_no_body_is_refused_in_one_line(linear):
         infer_states(model, rows, method="magic")
 
 
+def test_the_old_name_of_a_method_is_known(linear):
+    model, rows, *_ = linear
+    with pytest.warns(UserWarning, match="'nested' is now 'smc'"):
+        assert infer_states(model, rows, method="nested", **SIZES).attrs["method"] == "smc"
+
+
 # -- side by side ------------------------------------------------------------------------------------
 @pytest.mark.long
 def test_methods_in_one_table(linear):

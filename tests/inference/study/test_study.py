@@ -236,6 +236,14 @@ def test_it_is_the_same_after_every_interruption(study, trials, tmp_path, monkey
     same(study, resumed)
 
 
+def test_the_old_name_of_a_method_is_known():
+    with (
+        pytest.warns(UserWarning, match="'nested' is now 'smc'"),
+        pytest.raises(InputError, match="expected one trial or more"),
+    ):
+        run_study((), How(method="nested"))
+
+
 @pytest.mark.long
 def test_workers_change_no_bit(study, trials):
     with open_executor(2) as executor:
