@@ -14,6 +14,7 @@ from typing import Any
 import arviz as az
 import numpy as np
 import torch
+from pyro.distributions import LogNormal, Normal
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
@@ -110,6 +111,12 @@ def _known_in_part(body: ArticulatedBody) -> list[tuple[str, float, float | None
     alike: dict[tuple[str, float, float | None], list[int]] = {}
     for quantity, own in body.priors.items():
         for entry, each in own.items():
+            if not isinstance(each, Normal | LogNormal):
+                warnings.warn(
+                    f"body.{quantity}[{entry}]: the prior {type(each).__name__} is replaced by a (log-)normal of "
+                    "its mean and sd, whose draws may be beyond its bounds; give a LogNormal to say so yourself",
+                    stacklevel=2,
+                )
             alike.setdefault((quantity, *in_normal_units(each)[1:]), []).append(entry)
     return [(*which, tuple(entries)) for which, entries in alike.items()]
 
@@ -166,8 +173,11 @@ class Task:
         problem, record = self.problem, self.record
         if method in OF_ARMS and self.unfitted is not None:  # what is filtered and differentiated is a nominal body's
             nominal = self.unfitted.model.parameters
-            there = {f"body.{name}": nominal[f"body.{name}"] for name in problem.model.body.priors}
-            problem = replace(problem, model=problem.model.replace(**there))
+            means = {
+                name: {entry: nominal[f"body.{name}"].flatten()[entry] for entry in own}
+                for name, own in problem.model.body.priors.items()
+            }
+            problem = replace(problem, model=_with_entries(problem.model, means))
         mixed, of_body = learn and self.mixed and method in MIXED, _of_priors(problem.model.body)
         uncertain = any(map(of_body, self.free))
         if method == "nuts" and uncertain:
@@ -382,13 +392,20 @@ def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
     names = {f.name for f in free}
     if DROP in names:  # a logarithm is fitted, and 0 has none
         model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
-    middles = {}
-    for quantity, own in model.body.priors.items():
-        if (name := f"body.{quantity}") in names:
-            middles[name] = model.parameters[name].clone()
-            for entry, each in own.items():
-                middles[name].view(-1)[entry] = in_normal_units(each)[0]
-    return model.replace(**middles)
+    priors = {quantity: own for quantity, own in model.body.priors.items() if f"body.{quantity}" in names}
+    middles = {
+        quantity: {entry: in_normal_units(each)[0] for entry, each in own.items()} for quantity, own in priors.items()
+    }
+    return _with_entries(model, middles)
+
+
+def _with_entries(model: ArmModel, values: Mapping[str, Mapping[int, float | Tensor]]) -> ArmModel:
+    """The model with other ``values`` of some of its body's numbers, by the number's name and flat index."""
+    found = {f"body.{quantity}": model.parameters[f"body.{quantity}"].clone() for quantity in values}
+    for quantity, own in values.items():
+        for entry, value in own.items():
+            found[f"body.{quantity}"].view(-1)[entry] = value
+    return model.replace(**found)
 
 
 PARAMETER = "parameter "
@@ -428,7 +445,7 @@ def _fingerprint(
     data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
     return {
         "version": version("invdyn"),
-        "kept": [*NUMBERS, *ARRAYS],
+        "kept": [*NUMBERS, *ARRAYS, "sets by number"],
         "recording": digest(*data),
         "body": repr(model.body),
         "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),

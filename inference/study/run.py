@@ -23,7 +23,7 @@ from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.renamed_methods import present_name
 from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import fit_trial, infer_trial, parameters_of, said, share_session
+from invdyn.inference.study.work import KEPT, fit_trial, infer_trial, parameters_of, said, share_session
 from invdyn.recordings import InputError
 
 
@@ -119,6 +119,7 @@ def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
     labels = [[*trial.labels.items(), *map(str, trial.events.items()), _names(trial)] for trial in trials]
     return {
         "version": version("invdyn"),
+        "kept": KEPT,
         "recordings": digest(*tensors),
         "bodies": bodies,
         "trials": hashlib.sha256(repr(labels).encode()).hexdigest()[:16],

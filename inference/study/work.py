@@ -44,6 +44,8 @@ from invdyn.models.divergence import Diverged
 from invdyn.recordings.errors import first_line
 
 VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
+KEPT = ("path", "covariance")
+"""Of a trial's fit, besides its parameters."""
 NOT_SETTLED = "the fit did not settle"
 Report = Callable[[int, int], None] | None
 
@@ -60,7 +62,7 @@ def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
         if reasons := unexplained(replace(problem, model=found.model), found.path):
             return _left_out(reasons[0])
         values = {f"{VALUE}{f.name}": found.model.parameters[f.name] for f in free}
-        values |= {"path": found.path, "covariance": torch.as_tensor(found.covariance)}
+        values |= {name: torch.as_tensor(getattr(found, name)) for name in KEPT}
         return {**values, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
 
     return _guarded(work)

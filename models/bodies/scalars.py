@@ -65,7 +65,7 @@ def prior(mean: float, sd: float) -> dist.Distribution:
 def in_normal_units(distribution: dist.Distribution) -> tuple[float, float, float | None]:
     """Of a prior as θ₀ exp(s z), or θ₀ + u z where θ may be negative, z ~ N(0, s²): θ₀, s and u, which is then s = 1.
 
-    One that is neither log-normal nor normal counts as that of its mean and sd.
+    One that is neither log-normal nor normal counts as that of its mean and sd. Raises `BodyError` as :func:`prior`.
     """
     if isinstance(distribution, dist.LogNormal):
         return math.exp(float(distribution.loc)), float(distribution.scale), None
@@ -102,6 +102,11 @@ def checked_scalar(
             raise BodyError(f"{what}: expected a scalar prior, got one of shape {tuple(value.shape())}")
         if not signed and bool(value.support.check(torch.tensor(-1e-6))):
             raise BodyError(f"{what}: the prior allows negative values; use a LogNormal, for example")
+        if not isinstance(value, dist.Normal | dist.LogNormal):
+            try:
+                in_normal_units(value)  # as a fit takes it
+            except ValueError as error:
+                raise BodyError(f"{what}: {error}") from None
     elif isinstance(value, Learned):
         value = Learned(number(value.start, what))
     else:

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyro.distributions as dist
 import pytest
 import torch
 
@@ -254,6 +255,24 @@ def test_what_is_to_be_fitted():
     assert "body.length" not in names
     assert "body.length" in {f.name for f in free_parameters(problem, learn_lengths=True)}
     assert "torque.decay" not in {f.name for f in free_parameters(problem, given=("torque.decay",))}
+
+
+def test_a_learned_number_beside_one_with_a_prior_is_used_as_fitted():
+    """Differentiation takes the prior's mean alone."""
+    recording, _ = record(TIME)
+    uncertain = body(mass=(prior(1.5, 0.1), Learned(1.0)))
+    task = prepare(recording, uncertain, options=SMCOptions(3, 2, 2), seed=0, settings=KNOWN)
+    learned = task.problem.model.parameters["body.mass"][1].item()
+    assert learned != 1.0
+    mass = task.run("differentiate")["constant_data"]["mass"].values
+    assert mass == pytest.approx([1.5, learned], rel=1e-6)
+
+
+def test_a_prior_of_another_kind_is_said_to_be_replaced():
+    recording, _ = record(TIME)
+    uniform = arm_problem(recording, body(mass=(dist.Uniform(0.9, 1.1), 1.0)))
+    with pytest.warns(UserWarning, match=r"^body.mass\[0\]: the prior Uniform is replaced by a \(log-\)normal"):
+        free_parameters(uniform)
 
 
 @pytest.mark.parametrize("learn_lengths", [True, False])

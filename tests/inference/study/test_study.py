@@ -540,6 +540,7 @@ def test_what_changes_the_numbers_changes_a_checkpoint_and_bodies_share_nothing(
     for other in ([replace(heavy, name=first.name)], [later], [moved]):
         assert _fingerprint(other, HOW) != own
     assert _fingerprint([first], replace(HOW, seed=1)) != own
+    assert own["kept"] == ("path", "covariance")  # an older study kept no covariance
     fits = dict.fromkeys(range(2), words(notes=[]))
     assert _groups([first, heavy], fits) == [(0,), (1,)]
     other = words(notes=[]) | {"value torque.scale": torch.ones(3)}

@@ -269,6 +269,11 @@ def test_priors_in_normal_units():
     assert in_normal_units(gamma)[:2] == pytest.approx(in_normal_units(prior(2.5, 0.5))[:2], rel=1e-6)
 
 
+def test_a_prior_without_a_width_is_refused():
+    with pytest.raises(BodyError, match=r"link 'upper_arm': com in m: .* where the number is known, write it alone"):
+        arm(com=dist.Delta(torch.tensor(0.1)))
+
+
 def test_priors_stand_at_their_entries():
     body = arm(mass=prior(1.5, 0.3)).with_values(com=[prior(0.1, 0.01), 0.1])
     assert {key: set(own) for key, own in body.priors.items()} == {"mass": {0}, "com": {0}}
