@@ -16,7 +16,8 @@ the passes without more noise alone begin at it:
 
 This is graduated optimisation (A. Blake & A. Zisserman, "Visual Reconstruction", MIT Press, 1987) in the noise. At
 α = 0 passes end when one changes the evidence by less than ``SETTLED`` nats, or after ``PASSES`` of them: where a kink
-divides the posterior, they alternate, and the particles that follow share it out. That of the highest evidence is kept.
+divides the posterior, they alternate, and the particles that follow share it out. That of the highest evidence is kept;
+of legs that land it is within a nat of that of more passes.
 
 Shapes: observations (T, O), path (T, D). All in float64; the model gives no derivatives.
 """

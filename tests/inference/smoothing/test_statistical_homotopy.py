@@ -95,6 +95,23 @@ def test_a_hopping_leg_is_followed_where_tangents_are_not(monkeypatch):
     assert np.sqrt(np.mean((torque - leg.torque[:-1]) ** 2)) < 0.35 * leg.torque.std()
 
 
+def test_an_evidence_that_settled_is_within_a_nat_of_more_passes(monkeypatch):
+    """Of legs that land, from a path that is given; passes go on until a thousandth of a nat, or thirty."""
+    missing = []
+    for kind, seed in (("drop", 2), ("slip", 0)):
+        leg = legs.leg_recording(kind, seed, rows=20)
+        model, rows = leg_model(leg), torch.as_tensor(leg.rows)
+        path = model.initial_paths(rows)[0]
+        found = statistical_homotopy(model, rows, path)
+        assert bool(found.converged)
+        with monkeypatch.context() as longer:
+            longer.setattr("invdyn.inference.smoothing.statistical_homotopy.PASSES", 30)
+            longer.setattr("invdyn.inference.smoothing.statistical_homotopy.SETTLED", 1e-3)
+            missing.append(float(statistical_homotopy(model, rows, path).log_evidence - found.log_evidence))
+    assert max(missing) < 1.0
+    assert np.mean(missing) < 0.4
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kind", legs.KINDS)
 def test_filters_agree_on_every_kind_of_contact(kind):
