@@ -54,7 +54,7 @@ COMMANDS = {
     "walking/3 falling/3",
     "leg": "leg.py --seeds 14 --filters 4 --kinds drop slip --results build/leg.jsonl",
     "leg_hop_stance": "leg.py --seeds 3 --filters 4 --kinds hop stance --results build/leg.jsonl",
-    "quadruped": "quadruped.py --seconds 0.6 --filters 4 --results build/quadruped.jsonl",
+    "quadruped": "quadruped.py --seconds 0.6 --filters 4 --particles 1000 --results build/quadruped.jsonl",
     "gait": "gait.py",
     "walker": "walker.py",
     "walker_arm": "walker_arm.py --every 3 --results build/walker_arm.jsonl",

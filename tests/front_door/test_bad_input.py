@@ -257,7 +257,7 @@ from invdyn.cli import app
 try:
     app(sys.argv[1:])
 finally:
-    print(*sorted({"torch", "pyro", "arviz", "matplotlib", "scipy"} & set(sys.modules)))
+    print(*sorted({"torch", "pyro", "arviz.data", "matplotlib", "scipy"} & set(sys.modules)))
 """
 
 
