@@ -102,7 +102,7 @@ def infer(
     run: Callable[..., Any] = inference.infer
     if kinematic:
         run = inference.infer_kinematics
-        arguments = kinematic_arguments(arguments | {"executor": given.workers})
+        arguments = kinematic_arguments(arguments | {"executor": given.workers, "forces": given.forces})
     with ProgressBar() as progress:
         read, film = given.load(tracks=tracks, checkpoint=given.checkpoint, progress=progress)
     with open_workers(given.workers) as executor, ProgressBar() as progress:

@@ -146,7 +146,7 @@ class Diagnosed(Recorded):
         sources = [source_of(self.first, self.calibration, self.mapping)]
         sources += [source_of([name], None, self.mapping) for name in later]
         sources += [TABLE] * (self.camera is not None)
-        check_options(self.recording, sources, self.reading)
+        check_options(self.recording, sources, self.reading, type(self))
         filmed = any(source is not LOG for source in sources)
         body = with_estimated(self.read_body(filmed=filmed), self.estimate)
 

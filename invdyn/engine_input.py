@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .input_names import body_file, frame_range
+from .settings import spelled
 
 if TYPE_CHECKING:
     import arviz as az
@@ -103,8 +104,8 @@ def _refuse_unused(given: "Recorded", unused: Sequence[str]) -> None:
     usual = type(given).__dataclass_fields__
     for name in unused:
         if getattr(given, name) != usual[name].default:
-            option = {"others": "with"}.get(name, name).replace("_", "-")
-            raise InputError(f"--{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
+            option = spelled(type(given), name)
+            raise InputError(f"{option}: has no part in MuJoCo's engine: leave it out, or --set engine=own")
 
 
 def _recording(given: "Recorded", seen: "Recording", actuators: bool = False) -> "tuple[Recording, Scene]":

@@ -12,7 +12,7 @@ import typer
 
 from .options import MAX_WORKERS, Device, Filters, Particles, Seed, Workers
 from .recording_options import Recorded
-from .settings import Setting, yes
+from .settings import Setting, spelled, yes
 
 if TYPE_CHECKING:
     from invdyn.recordings.reading import TrackedFilm
@@ -132,7 +132,7 @@ class Inference(Recorded):
         from .inputs import LOG, check_options, load_known, read_recordings, source_of
 
         source = source_of(self.recordings, self.calibration, self.mapping)
-        check_options(self.recording, [source], self.reading)
+        check_options(self.recording, [source], self.reading, type(self))
         if not self.calibration and (cameras := [word for word in self.learned if word in CAMERAS]):
             raise InputError(f"--learn {cameras[0]} needs several cameras: pass --calibration, and a file for each one")
         body = self.read_body(filmed=source is not LOG)
@@ -156,9 +156,9 @@ def kinematic_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
 
     usual, taken = inspect.signature(infer).parameters, inspect.signature(infer_kinematics).parameters
     for name, value in arguments.items():
-        if name not in taken and value != usual[name].default:
-            option = {"passive": "zero-torque", "executor": "workers", "learn_cameras": "learn"}.get(name, name)
-            raise InputError(f"--{option.replace('_', '-')}: has no part in --torque none; leave one of them out")
+        if name not in taken and value not in (None, usual[name].default):
+            field = {"passive": "zero_torque", "executor": "workers", "learn_cameras": "learn"}.get(name, name)
+            raise InputError(f"{spelled(Inference, field)}: has no part in --torque none; leave one of them out")
     return {name: value for name, value in arguments.items() if name in taken}
 
 

@@ -25,6 +25,7 @@ from .film_input import read_film
 from .input_names import body_file
 from .log_input import read_log_files
 from .log_input import read_logs as read_logs
+from .settings import spelled
 from .table_input import load_recording as load_recording
 from .table_input import read_table
 
@@ -57,9 +58,6 @@ CAMERAS = Source(
     "tracks of several cameras are in pixels, and their calibration in metres",
     read_cameras,
 )
-SPELLED = {"mapping": "--map"}
-SPELLED |= {name: f"--set {name}" for name in ("episodes", "format", "individual", "person", "plane")}
-"""Options that a command line spells in another way than the readers do."""
 
 
 def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body:
@@ -101,17 +99,17 @@ def source_of(files: Sequence[str], calibration: Sequence[Path] | None = None, m
     return LOG if mapping is not None or kind_of(Path(files[0])) not in (None, "csv") else TABLE
 
 
-def check_options(name: str, sources: Sequence[Source], given: Mapping[str, Any]) -> None:
+def check_options(name: str, sources: Sequence[Source], given: Mapping[str, Any], kind: type) -> None:
     """Raise InputError, about the file of that name, for an option that is given and that no source takes.
 
-    ``given`` is option → value, by the names that readers have.
+    ``given`` is option → value, by the names that readers have; ``kind`` is the dataclass that has these options.
     """
     for option, value in given.items():
         if value is None or any(option in source.options for source in sources):
             continue
         others = [source.what for source in (TABLE, FILM, LOG, CAMERAS) if option in source.options]
-        spelled = SPELLED.get(option, f"--{option}")
-        raise InputError(f"{name}: {sources[0].why}: leave {spelled} out, which is for {' or '.join(others)}")
+        left = spelled(kind, option)
+        raise InputError(f"{name}: {sources[0].why}: leave {left} out, which is for {' or '.join(others)}")
 
 
 def read_recordings(files: Sequence[str], body: Body, **options: Any) -> list[Reading]:

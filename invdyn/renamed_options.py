@@ -48,7 +48,8 @@ def with_new_names(
         repeatable: those of them that may be given several times.
         warn: called with a sentence for each old option.
 
-    Raises ValueError for an old option next to the new one, of which a command takes one.
+    Raises ValueError for an old option next to the new one, of which a command takes one, for a flag that became an
+    option with its value and has another, and for a setting without its value.
     """
     found: list[str] = []
     given = {word.partition("=")[0] for word in words}
@@ -64,11 +65,15 @@ def with_new_names(
             found.append(word)
             continue
         if name in given and name not in repeatable:
-            raise ValueError(f"{old} is {name} now, which is given too: leave one of them out")
+            raise ValueError(f"{old} is {new} now, and {name} is given too: leave one of them out")
+        if equals and " " in new and not new.endswith("="):
+            raise ValueError(f"{old} is {new} now: expected no value of {old}, got {value!r}")
+        if new.endswith("=") and not equals and (value := next(rest, "")) == "":
+            raise ValueError(f"{old} is {new}… now: expected a value, got none")
         given.add(name)
         warn(f"{old} is now {new}{'…' * new.endswith('=')}; the old name works in this version alone")
         if new.endswith("="):
-            found += [name, f"{new.split()[1]}{value if equals else next(rest, '')}"]
+            found += [name, f"{new.split()[1]}{value}"]
         else:
             found += new.split() if not equals else [f"{name}={value}"]
     return found

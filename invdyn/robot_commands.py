@@ -41,12 +41,13 @@ def check(
     from invdyn.recordings import InputError, write_text
 
     from .inputs import LOG, TABLE, check_options, load_body, read_recordings, source_of
+    from .recording_options import Recorded
 
     check_outputs([out], [Path(robot), Path(log)])
     check_ending("a check", out, ".json")
     source = source_of([log], None, mapping)
     given = {"units": units, "fps": fps, "mapping": mapping, "episodes": None if episodes == "0" else episodes}
-    check_options(log, [source], given)
+    check_options(log, [source], given, Recorded)
     shown: dict[str, Any] = {"recording": log, "units": units, "fps": fps} if source is TABLE else {}
     body = load_body(robot, filmed=source is not LOG, **shown)
     readings = read_recordings([log], body, **given, frames=frames, as_it_stands=True)

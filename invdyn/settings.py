@@ -50,6 +50,15 @@ class Setting:
         return value
 
 
+def spelled(kind: type, name: str) -> str:
+    """What a command line calls a field of a dataclass of options: "--set forces", "--map", "--hide-torque"."""
+    notes = get_args(get_type_hints(kind, include_extras=True)[name])[1:]
+    if any(isinstance(each, Setting) for each in notes):
+        return f"--set {name}"
+    declared = [option for each in notes for option in getattr(each, "param_decls", None) or ()]
+    return declared[0] if declared else f"--{name.replace('_', '-')}"
+
+
 def yes(text: str) -> bool:
     """Whether a text is "yes"; raises ValueError unless it is that or "no"."""
     if text not in ("yes", "no"):

@@ -65,6 +65,13 @@ def test_old_flags_become_values():
         "--sd is now --set sd=…",
     ]
     assert with_new_names(["--no-confine"], own, {"--set"}, warned.append) == ["--no-confine"]  # not of this command
+    for words, said in (
+        (["--kinematic", "--torque", "auto"], "--kinematic is --torque none now, and --torque is given too"),
+        (["--kinematic=yes"], "--kinematic is --torque none now: expected no value of --kinematic, got 'yes'"),
+        (["a.csv", "--sd"], "--sd is --set sd=… now: expected a value, got none"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            with_new_names(words, own, {"--set"}, warned.append)
 
 
 def test_old_options_work_with_a_warning_each(folder, quick_inference, run, contents):

@@ -77,6 +77,7 @@ def test_which_files_need_it(leg, tmp_path):
         (("--set", "drive=actuators"), "expected a file with actuators, got none"),
         (("--method", "svi"), "expected a method among smc, bootstrap, laplace, particle-gibbs for MuJoCo's"),
         (("--learn", "lengths"), "--learn: has no part in MuJoCo's engine"),
+        (("--set", f"forces={__file__}"), "error: --set forces: has no part in MuJoCo's engine"),
     ],
 )
 def test_what_has_no_part_in_it_is_refused(leg, run, options, message):

@@ -73,7 +73,7 @@ def words(call, **changes):
     ("call", "message"),
     [
         (words(TRACK, tracker=None), "f.mov: what is to be tracked?"),
-        ([*TRACK, "--arm", "left"], "--arm is --tracker now, which is given too"),
+        ([*TRACK, "--arm", "left"], "--arm is --tracker now, and --tracker is given too"),
         ([*TRACK, "--set", "person=left"], "person says whose arm --tracker left or right tracks"),
         ([*words(TRACK, tracker=None), "--tracker", "both"], "--tracker both: No such file"),
         ([*words(TRACK, tracker=None), "--tracker", "left", "--set", "person=me"], "person is left, right, largest"),
@@ -183,7 +183,7 @@ def test_diagnose_takes_a_film(folder, shared, run, monkeypatch):
     for option, message in (
         (["--held-out", "f.mov"], "f.mov: expected another recording of the same arm for --held-out"),
         (["--set", "tracks=n.safetensors"], "n.safetensors: this output would overwrite an input"),
-        (["--arm", "left"], "--arm is --tracker now, which is given too"),
+        (["--arm", "left"], "--arm is --tracker now, and --tracker is given too"),
         (["--calibration", "c.toml"], "--calibration is of several cameras"),
     ):
         outcome = run(*call, *option)

@@ -50,6 +50,8 @@ def test_it_writes_all_that_is_wanted(swinging, run, contents):
         (("--method", "nuts"), "expected a method among smc, laplace, got 'nuts'"),
         (("--out", "t.sto"), "t.sto: a kinematic posterior has no torques"),
         (("--zero-torque",), "--zero-torque: has no part in --torque none"),
+        (("--set", f"forces={__file__}"), "error: --set forces: has no part in --torque none"),
+        (("--set", "filters_per_task=2"), "error: --set filters_per_task: has no part in --torque none"),
     ],
 )
 def test_what_has_no_part_in_it_is_refused(swinging, run, contents, options, said):
