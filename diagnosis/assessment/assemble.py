@@ -1,7 +1,7 @@
 """The result of a diagnosis, put together from the causes and their probabilities; and the answer "not enough data"."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -62,63 +62,17 @@ def assembled(
     ``by_effect`` has the share that each effect of the best cause closes, by its key.
     ``follows`` are the variables that what the simulation lacks depends on, and ``held_out`` says in words what was.
     """
-    model, body = bound.model, bound.model.body
+    body = bound.model.body
     none, best = found.pool[""], weighed.best
-    after, after_sd, path = residual(bound, best)
-    _, q, qd = best.model.split(path)
-    angle = q.numpy()
-    tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
-    parts: list[Callable[[], Any]] = [  # what takes longest first
-        partial(replay, best.model, path, bound.starts),
-        partial(replay, model, lifted(model, path), bound.starts),
-        partial(residual, bound, none),
-        *(partial(scores, bound, cause) for cause in (none, best)),
-    ]
-    corrected, nominal, (before, before_sd, unexplained), scored, improved = side_by_side(parts, found.workers)
-    replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
-    moved = seen_tips(best.model, path) - tips[:, list(model.observation.tracked)]
-    shifts = (
-        np.sqrt((moved**2).sum(-1).mean(0))
-        / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
-        if moved.size
-        else np.zeros(moved.shape[1])
-    )
+    along = _along_the_path(bound, found, best)
     probability = 1.0 - weighed.causes.get("", (none, 0.0))[1]
-    limit = tolerated(bound, unexplained)
-    large = matters(bound, none, best, before, limit)
+    limit = tolerated(bound, along.path_without)
+    large = matters(bound, none, best, along.before, limit)
     if not large:
         weighed = too_small(weighed)
-    causes = tuple(
-        Cause(
-            tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
-            probability,
-            weighed.log_evidence[cause.key],
-            weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
-            weighed.in_part[cause.key],
-            learned(bound, cause, seed, found.temper_within()),
-        )
-        for cause, probability in weighed.causes.values()
-        if probability + weighed.in_part[cause.key] > bound.rules.evidence.min_probability or cause is best
-    )
-    causes = tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
+    causes = _causes(bound, found, weighed, best, seed)
     rivals = ambiguous(causes, bound.rules)
     joints = body.joint_names
-    visibility = tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first))
-    located = where(
-        model,
-        {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
-        weighed.in_part.get("", 0.0),
-        bound.regime,
-        before,
-        bound.typical.numpy(),
-        shifts,
-        frame_gap,
-        follows,
-        bound.rules,
-    )
-    # Intervals are in the recording's times, s, which are ``origin`` at the model's 0.
-    origin = bound.problem.origin
-    on_its_clock = tuple(replace(i, start=i.start + origin, stop=i.stop + origin) for i in located.intervals)
     return Diagnosis(
         recording=bound.problem.recording.name,
         body=body.name,
@@ -128,11 +82,11 @@ def assembled(
             detected=probability > 0.5 and large,
             probability=probability,
             elpd_per_frame=shares.per_frame,
-            residual_torque_rms=rms_of(joints, before),
-            replay_rms_m={name: replay_rms(r, tips) for name, r in replays.items()},
+            residual_torque_rms=rms_of(joints, along.before),
+            replay_rms_m={name: replay_rms(r, along.tips) for name, r in along.replays.items()},
             tolerated_torque=dict(zip(joints, limit.tolist(), strict=True)) if bound.regime.knows_torque else {},
         ),
-        where=replace(located, intervals=on_its_clock),
+        where=_located(bound, weighed, along, follows),
         causes=causes,
         ambiguity_set=(rivals,) if rivals else (),
         overlaps=overlaps(bound, rivals, found.first),
@@ -150,39 +104,128 @@ def assembled(
             shares.share if best.effects else None,
             shares.interval if best.effects else None,
             fresh,
-            rms_of(joints, after),
+            rms_of(joints, along.after),
             {name: Part(part.share, part.interval) for name, part in by_effect.items()},
         ),
         joint_names=joints,
         link_names=body.link_names,
-        tracks=Tracks(
-            time=model.time.numpy() + origin,
-            observed=_observed(bound),
-            keypoint_names=model.observation.tracked_names,
-            base=base_of(body),
-            command=None if model.command is None or not bound.regime.commanded else model.command.numpy(),
-            angle=angle,
-            velocity=qd.numpy(),
-            nominal_replay=replays["nominal"],
-            corrected_replay=replays["corrected"],
-            replay_window=FIXED.replay_window,
-            smoothed=tips,
-            residual_before=before,
-            residual_before_sd=before_sd,
-            residual_after=after,
-            residual_after_sd=after_sd,
-            frame_gap=frame_gap,
-        ),
+        tracks=_tracks(bound, along),
         screened=tuple((key(s.effect), float(s.log_evidence - _nothing(found))) for s in added(found.first)),
-        visibility=visibility,
+        visibility=tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first)),
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
         posterior=posterior(bound, best, weighed.confirmed.get(best.key) or confirm(bound, best, seed), seed),
         planar_only=_planar_only(bound),
-        posture=posture(body, angle[row] if (row := typical_row(angle)) is not None else None),
+        posture=posture(body, along.angle[row] if (row := typical_row(along.angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
         rules=bound.rules,
+    )
+
+
+@dataclass(frozen=True)
+class _Along:
+    """Without and with the best cause, along its smoothed path: T rows, K joints, S sites, P tracked ones, d axes.
+
+    Angles and velocities (T, K); sites (T, S, d) m, smoothed and replayed; the torque that each lacks with its sd,
+    (T, K) N·m; the path without a cause, (T, D); nats (T,) by which the cause predicts each row better; and by how much
+    the camera sees a site elsewhere, (P,), as a share of its noise.
+    """
+
+    angle: np.ndarray
+    velocity: np.ndarray
+    tips: np.ndarray
+    replays: Mapping[str, np.ndarray]
+    before: np.ndarray
+    before_sd: np.ndarray
+    path_without: torch.Tensor
+    after: np.ndarray
+    after_sd: np.ndarray
+    frame_gap: np.ndarray
+    shifts: np.ndarray
+
+
+def _along_the_path(bound: DiagnosisProblem, found: HypothesisPool, best: FittedHypothesis) -> _Along:
+    model, none = bound.model, found.pool[""]
+    after, after_sd, path = residual(bound, best)
+    _, q, qd = best.model.split(path)
+    tips = best.model.dynamics.keypoints(q, best.model.body_parameters()).numpy()
+    parts: list[Callable[[], Any]] = [  # what takes longest first
+        partial(replay, best.model, path, bound.starts),
+        partial(replay, model, lifted(model, path), bound.starts),
+        partial(residual, bound, none),
+        *(partial(scores, bound, cause) for cause in (none, best)),
+    ]
+    corrected, nominal, (before, before_sd, path_without), scored, improved = side_by_side(parts, found.workers)
+    moved = seen_tips(best.model, path) - tips[:, list(model.observation.tracked)]
+    shifts = (
+        np.sqrt((moved**2).sum(-1).mean(0))
+        / model.parameters.get("emission.keypoint_scale", torch.ones(moved.shape[1])).numpy()
+        if moved.size
+        else np.zeros(moved.shape[1])
+    )
+    replays, frame_gap = {"nominal": nominal, "corrected": corrected}, improved.score - scored.score
+    angle, velocity = q.numpy(), qd.numpy()
+    return _Along(angle, velocity, tips, replays, before, before_sd, path_without, after, after_sd, frame_gap, shifts)
+
+
+def _causes(
+    bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, best: FittedHypothesis, seed: int
+) -> tuple[Cause, ...]:
+    """Those that are credible, and the best; the most probable first."""
+    causes = (
+        Cause(
+            tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
+            probability,
+            weighed.log_evidence[cause.key],
+            weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
+            weighed.in_part[cause.key],
+            learned(bound, cause, seed, found.temper_within()),
+        )
+        for cause, probability in weighed.causes.values()
+        if probability + weighed.in_part[cause.key] > bound.rules.evidence.min_probability or cause is best
+    )
+    return tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
+
+
+def _located(bound: DiagnosisProblem, weighed: Weighed, along: _Along, follows: Sequence[str]) -> Where:
+    """Where the gap is; intervals are in the recording's times, s, which are ``origin`` at the model's 0."""
+    located = where(
+        bound.model,
+        {name: (cause, alone + weighed.in_part[name]) for name, (cause, alone) in weighed.causes.items()},
+        weighed.in_part.get("", 0.0),
+        bound.regime,
+        along.before,
+        bound.typical.numpy(),
+        along.shifts,
+        along.frame_gap,
+        follows,
+        bound.rules,
+    )
+    origin = bound.problem.origin
+    on_its_clock = tuple(replace(i, start=i.start + origin, stop=i.stop + origin) for i in located.intervals)
+    return replace(located, intervals=on_its_clock)
+
+
+def _tracks(bound: DiagnosisProblem, along: _Along) -> Tracks:
+    model = bound.model
+    return Tracks(
+        time=model.time.numpy() + bound.problem.origin,
+        observed=_observed(bound),
+        keypoint_names=model.observation.tracked_names,
+        base=base_of(model.body),
+        command=None if model.command is None or not bound.regime.commanded else model.command.numpy(),
+        angle=along.angle,
+        velocity=along.velocity,
+        nominal_replay=along.replays["nominal"],
+        corrected_replay=along.replays["corrected"],
+        replay_window=FIXED.replay_window,
+        smoothed=along.tips,
+        residual_before=along.before,
+        residual_before_sd=along.before_sd,
+        residual_after=along.after,
+        residual_after_sd=along.after_sd,
+        frame_gap=along.frame_gap,
     )
 
 
