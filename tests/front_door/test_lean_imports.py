@@ -52,15 +52,54 @@ from invdyn.inference import infer
 loaded = {"arviz.plots", "arviz.stats", "scipy.signal", "scipy.stats", "torch._dynamo"} & {*sys.modules}
 assert not loaded, loaded
 
+from arviz.labels import BaseLabeller
+from arviz.rcparams import rcParams
 import arviz.stats
 import arviz as az
+rcParams["plot.max_subplots"] = 7
+assert az.plot_trace
+assert az.rcParams is rcParams and az.rcParams["plot.max_subplots"] == 7
+assert az.labels.BaseLabeller is sys.modules["arviz.plots.traceplot"].BaseLabeller is BaseLabeller
+assert type(az) is type(sys), type(az)
 assert az.hdi is arviz.stats.hdi
 assert az.plot_trace is sys.modules["arviz.plots"].plot_trace
 assert az.InferenceData is sys.modules["arviz.data"].InferenceData
 """
 
 
-def test_plots_and_statistics_of_arviz_come_when_asked_for():
-    command = [sys.executable, "-W", "ignore", "-c", WHAT_COMMANDS_USE]
+BY_SIX_THREADS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from invdyn import arviz_on_demand
+arviz_on_demand.register()
+import arviz as az
+
+if sys.argv[1:]:  # a run that fails leaves no half package
+    loader, run = type(az.__spec__.loader), type(az.__spec__.loader).exec_module
+    loader.exec_module = lambda self, module: 1 / 0
+    try:
+        az.plot_trace
+    except ZeroDivisionError:
+        pass
+    assert "arviz" not in sys.modules
+    loader.exec_module = run
+    import arviz as az
+
+barrier, names = Barrier(6), ("InferenceData", "rcParams", "hdi")
+def read(k):
+    barrier.wait()
+    return [getattr(az, name) for name in (names if k % 2 else names[::-1])]
+with ThreadPoolExecutor(6) as pool:
+    found = list(pool.map(read, range(6)))
+assert {tuple(map(id, each if k % 2 else each[::-1])) for k, each in enumerate(found)} == {
+    tuple(id(getattr(az, name)) for name in names)
+}
+"""
+
+
+@pytest.mark.parametrize("words", [(WHAT_COMMANDS_USE,), (BY_SIX_THREADS,), (BY_SIX_THREADS, "fails")])
+def test_plots_and_statistics_of_arviz_come_when_asked_for(words):
+    command = [sys.executable, "-W", "ignore", "-c", *words]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 0, done.stderr
