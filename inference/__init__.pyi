@@ -41,6 +41,7 @@ from .filters.variance import log_evidence_variance as log_evidence_variance
 from .fitting.log_parameters import Free as Free
 from .fitting.marginal_likelihood import Fit as Fit
 from .fitting.marginal_likelihood import fit as fit
+from .free_parameters import free_parameters as free_parameters
 from .infer import infer as infer
 from .infer_engine import infer_engine as infer_engine
 from .infer_states import infer_states as infer_states
@@ -91,7 +92,6 @@ from .study.run import run_study as run_study
 from .study.study import Study as Study
 from .study.trial import Trial as Trial
 from .task import Task as Task
-from .task import free_parameters as free_parameters
 from .task import prepare as prepare
 from .variational.affine import Affine as Affine
 from .variational.affine import Corrected as Corrected

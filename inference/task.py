@@ -5,29 +5,27 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import arviz as az
 import numpy as np
 import torch
-from pyro.distributions import LogNormal, Normal
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import Checkpoint, digest, part_of
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import inside
-from invdyn.inference.execution.progress import Progress, Report
+from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.best_guide import guides_agree
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
+from invdyn.inference.fit_each import fingerprint, fit_each, fitted_on_the_middle
 from invdyn.inference.fitting.log_parameters import Free
-from invdyn.inference.fitting.marginal_likelihood import Fit, fit
 from invdyn.inference.fitting.parameter_draws import (
     Candidate,
     ParameterSet,
@@ -35,15 +33,14 @@ from invdyn.inference.fitting.parameter_draws import (
     parameter_draws,
     sets_needed,
 )
+from invdyn.inference.free_parameters import at_start, free_parameters, of_priors, with_entries
 from invdyn.inference.methods.over_sets import BATCHED, over_sets
 from invdyn.inference.methods.registry import DISTRIBUTED, METHODS, OF_ARMS, RESUMED, WITHOUT_EVIDENCE, timed
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
-from invdyn.inference.posterior.gap_branches import fit_over_gaps
 from invdyn.inference.posterior.initialise import Problem, arm_problem
-from invdyn.models import ArmModel, ArticulatedBody, TorqueProcess, default_torques
+from invdyn.models import ArticulatedBody, TorqueProcess, default_torques
 from invdyn.models.articulated.applied_force import AppliedForce
-from invdyn.models.bodies.scalars import in_normal_units
 from invdyn.models.divergence import Diverged
 from invdyn.recordings import InputError, Recording, Truth
 
@@ -55,70 +52,6 @@ bodies that differ a Gaussian smoother, which needs no guide, has as many as cha
 """
 SETS = 5_505_505
 """Place of the random numbers of process and parameters (:func:`.seeds.derived`)."""
-CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
-"""s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
-PILOT_ROWS, PILOT_FROM = 1000, 4000
-"""Rows in the middle of a long recording on which its parameters are fitted first, and from how many rows on."""
-DROP, MIN_DROP = "emission.confidence_drop", 0.02
-"""The noise's growth between the surest and the least sure rows, and the least that its fit starts from."""
-
-
-def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: bool = False) -> list[Free]:
-    """Parameters to fit when not ``given``: σ_y, the torque process, and what of the body is to be learned.
-
-    The dynamics' own noise ε is not among them. White noise on a velocity is a white torque by another name, and takes
-    torque away from τ. On the DFKI arm the evidence likes that, and the torque's error doubles. A moving base's process
-    is that of its own track (:mod:`.base_motion`): a person's torques make up for what the base does to the arm, and
-    the evidence of both would take that for a base that the arm does not feel.
-    """
-    body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
-    wanted = [
-        Free("torque.scale"),
-        Free("torque.decay", sd=1.0),
-        Free("torque.lengthscale", sd=1.0),
-        # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
-        Free("torque.rough_scale", tied=True, sd=1.0),
-        Free("torque.rough_decay", tied=True, sd=1.0),
-        # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
-        *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),
-    ]
-    learned = dict(body.learned)
-    if learn_lengths and body.is_chain:  # a tree says itself which of its lengths are learned
-        learned = {"length": tuple(range(body.num_joints)), **{k: v for k, v in learned.items() if k != "length"}}
-    wanted += [
-        Free(f"body.{quantity}", sd=sd, entries=entries, unit=unit)
-        for quantity, sd, unit, entries in _known_in_part(body)
-    ]
-    wanted += [Free(f"body.{quantity}", sd=0.3, entries=entries) for quantity, entries in learned.items()]
-    if (pixels := problem.model.observation.pixels) is not None:
-        # The first camera is where it is, and its clock is right: all others' are relative to it.
-        clocks, poses = (tuple(range(n, n * len(pixels.camera_names))) for n in (1, 3))
-        wanted += [Free("camera.offset", sd=1.0, entries=clocks, unit=CLOCK)]
-        wanted += [Free(f"camera.{way}", sd=1.0, entries=poses, unit=unit) for way, unit in POSE.items()]
-        # Three numbers a camera say little of their size.
-        wanted += [Free("camera.turn_scale", tied=True, sd=0.5)]
-    return [f for f in wanted if f.name in problem.model.parameters and f.name not in given]
-
-
-def _of_priors(body: ArticulatedBody) -> Callable[[Free], bool]:
-    """Whether a parameter is one of the body's numbers that have priors."""
-    own = {(f"body.{quantity}", entry) for quantity, entries in body.priors.items() for entry in entries}
-    return lambda free: bool(free.entries) and {(free.name, entry) for entry in free.entries or ()} <= own
-
-
-def _known_in_part(body: ArticulatedBody) -> list[tuple[str, float, float | None, tuple[int, ...]]]:
-    """The body's numbers that have priors: quantity, sd and unit as of :class:`Free`, and entries that these are of."""
-    alike: dict[tuple[str, float, float | None], list[int]] = {}
-    for quantity, own in body.priors.items():
-        for entry, each in own.items():
-            if not isinstance(each, Normal | LogNormal):
-                warnings.warn(
-                    f"body.{quantity}[{entry}]: the prior {type(each).__name__} is replaced by a (log-)normal of "
-                    "its mean and sd, whose draws may be beyond its bounds; give a LogNormal to say so yourself",
-                    stacklevel=2,
-                )
-            alike.setdefault((quantity, *in_normal_units(each)[1:]), []).append(entry)
-    return [(*which, tuple(entries)) for which, entries in alike.items()]
 
 
 @dataclass(frozen=True)
@@ -177,8 +110,8 @@ class Task:
                 name: {entry: nominal[f"body.{name}"].flatten()[entry] for entry in own}
                 for name, own in problem.model.body.priors.items()
             }
-            problem = replace(problem, model=_with_entries(problem.model, means))
-        mixed, of_body = learn and self.mixed and method in MIXED, _of_priors(problem.model.body)
+            problem = replace(problem, model=with_entries(problem.model, means))
+        mixed, of_body = learn and self.mixed and method in MIXED, of_priors(problem.model.body)
         uncertain = any(map(of_body, self.free))
         if method == "nuts" and uncertain:
             raise InputError(
@@ -212,7 +145,7 @@ class Task:
         # Torques come first, angles and velocities last.
         shown = [*range(joints), *range(-2 * joints, 0)]
         count = min(NUM_SETS, sets_needed(candidates, shown, options.num_filters * options.num_draws))
-        if any(map(_of_priors(self.problem.model.body), self.free)):  # whose numbers are shown as draws, too
+        if any(map(of_priors(self.problem.model.body), self.free)):  # whose numbers are shown as draws, too
             count = options.num_filters if method == "laplace" else NUM_SETS
         count = min(count, options.num_filters)
         with seeded(derived(self.seed, SETS)):
@@ -287,12 +220,12 @@ def prepare(
     processes = torque if isinstance(torque, Sequence) else (torque,)
     problems = [bound(recording, process, truth) for process in processes]
     frees = [free_parameters(each, tuple(settings or ()), learn_lengths) for each in problems]
-    kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(problems, options, seed, frees))
+    kept = None if checkpoint is None else Checkpoint(checkpoint, fingerprint(problems, options, seed, frees))
 
     def begin(number: int, known: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        return _of_middle(recording, partial(bound, process=processes[number]), frees[number], known)
+        return fitted_on_the_middle(recording, partial(bound, process=processes[number]), frees[number], known)
 
-    fits, doubts_of = _fitted(problems, frees, begin, report, kept)
+    fits, doubts_of = fit_each(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
     problem, free, best = problems[chosen], frees[chosen], fits[chosen]
     fitted = replace(problem, model=best.model)
@@ -320,140 +253,3 @@ def prepare(
     ]
     mixed = isinstance(torque, Sequence)
     return Task(fitted, best.path, options, seed, record, kept, problem, tuple(free), tuple(candidates), mixed)
-
-
-def _fitted(
-    problems: Sequence[Problem],
-    frees: Sequence[list[Free]],
-    begin: Callable[[int, Mapping[str, Tensor]], Mapping[str, Tensor]],
-    report: Report | None,
-    checkpoint: Checkpoint | None,
-) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
-    """Fit of each problem, and what is in doubt of each: from the checkpoint, or fitted and kept there."""
-    if checkpoint is not None and (kept := checkpoint.load()) is not None:
-        tensors, state = kept
-        parts = [part_of(tensors, f"{number}.") for number in range(len(problems))]
-        there = zip(problems, parts, state["fits"], strict=True)
-        return [_kept_fit(each, own, numbers) for each, own, numbers in there], state["doubts"]
-    fits: list[Fit[ArmModel]] = []
-    doubts: list[list[str]] = []
-    for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
-        part = _share(report, number, len(problems))
-        model, rows = at_start(problem, free), problem.observations
-        like = _like(model, problems[0].model, fits[0]) if number else {"begin": {}}
-        like["begin"] |= begin(number, like["begin"])
-        found, doubt = fit_over_gaps(model, rows, free, part, problem.origin, **like)
-        fits.append(found)
-        doubts.append(doubt)
-    if checkpoint is not None:
-        tensors = {
-            f"{number}.{name}": value for number, each in enumerate(fits) for name, value in _tensors_of(each).items()
-        }
-        numbers = [
-            {name: float(getattr(each, name)) for name in NUMBERS} | {"converged": each.converged} for each in fits
-        ]
-        checkpoint.save(tensors, fits=numbers, doubts=doubts)
-    return fits, doubts
-
-
-def _of_middle(
-    recording: Recording, bound: Callable[[Recording], Problem], free: Sequence[Free], known: Mapping[str, Tensor]
-) -> Mapping[str, Tensor]:
-    """Parameters fitted on the middle of a long recording, at which to begin with all of it: {} where there are none.
-
-    Their own fit begins at those that are ``known`` of another process.
-
-    They save most of the search, and change what it finds by no more than its tolerance.
-    """
-    if recording.num_frames < PILOT_FROM or type(recording) is not Recording:
-        return {}
-    first = (recording.num_frames - PILOT_ROWS) // 2
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the whole recording's fit says what is to be said
-            problem = bound(recording.select(first, first + PILOT_ROWS))
-            model = fit(at_start(problem, free), problem.observations, free, begin=known).model
-    except (InputError, Diverged, KeyError):
-        return {}  # the arm is not seen there, say
-    return {each.name: model.parameters[each.name] for each in free}
-
-
-def _like(model: ArmModel, first: ArmModel, fit: Fit[ArmModel]) -> dict[str, Any]:
-    """What the fit of a model starts from, given that of the ``first``, which differs in its torque process alone."""
-    joints = model.body.num_joints
-    z, rest = fit.path[:, : first.torque.size(joints)], fit.path[:, first.torque.size(joints) :]
-    begin = {name: value for name, value in fit.model.parameters.items() if name in model.parameters}
-    return {"start": torch.cat([model.torque.path(z[:, :joints], model.time), rest], -1), "begin": begin}
-
-
-def at_start(problem: Problem, free: Sequence[Free]) -> ArmModel:
-    """The model at the parameters that a fit begins at."""
-    model = problem.model
-    names = {f.name for f in free}
-    if DROP in names:  # a logarithm is fitted, and 0 has none
-        model = model.replace(**{DROP: model.parameters[DROP].clamp(min=MIN_DROP)})
-    priors = {quantity: own for quantity, own in model.body.priors.items() if f"body.{quantity}" in names}
-    middles = {
-        quantity: {entry: in_normal_units(each)[0] for entry, each in own.items()} for quantity, own in priors.items()
-    }
-    return _with_entries(model, middles)
-
-
-def _with_entries(model: ArmModel, values: Mapping[str, Mapping[int, float | Tensor]]) -> ArmModel:
-    """The model with other ``values`` of some of its body's numbers, by the number's name and flat index."""
-    found = {f"body.{quantity}": model.parameters[f"body.{quantity}"].clone() for quantity in values}
-    for quantity, own in values.items():
-        for entry, value in own.items():
-            found[f"body.{quantity}"].view(-1)[entry] = value
-    return model.replace(**found)
-
-
-PARAMETER = "parameter "
-"""Before a parameter's name in a checkpoint: it may be any."""
-NUMBERS = ("log_evidence", "log_marginal")
-ARRAYS = ("phi", "covariance", "scatter")
-"""Of a fit, that a checkpoint keeps."""
-
-
-def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
-    """What of a fit is a tensor."""
-    own = {"path": fit.path} | {name: torch.as_tensor(getattr(fit, name)) for name in ARRAYS}
-    own |= {f"log_sd {name}": torch.as_tensor(value) for name, value in fit.log_sd.items()}
-    return own | {f"{PARAMETER}{name}": value for name, value in fit.model.parameters.items()}
-
-
-def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> Fit[ArmModel]:
-    """The fit whose tensors :func:`_tensors_of` gave."""
-    model = problem.model.replace(**part_of(tensors, PARAMETER))
-    log_sd = {name: value.numpy() for name, value in part_of(tensors, "log_sd ").items()}
-    of = {name: numbers[name] for name in ("converged", *NUMBERS)} | {name: tensors[name].numpy() for name in ARRAYS}
-    return Fit(model=model, path=tensors["path"], log_sd=log_sd, **of)
-
-
-def _share(report: Report | None, number: int, count: int) -> Report | None:
-    """What reports the progress of one fit of several as that of all."""
-    return None if report is None else lambda done, total: report(number * total + done, count * total)
-
-
-def _fingerprint(
-    problems: Sequence[Problem], options: SMCOptions, seed: int, frees: Sequence[list[Free]]
-) -> dict[str, Any]:
-    """All that the numbers of a run depend on, but for the method: each has a folder of its own."""
-    model = problems[0].model  # others differ from it in their torque process alone
-    observation, torques = model.observation, [each.model.torque for each in problems]
-    data = [problems[0].observations, model.time]
-    data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
-    return {
-        "version": version("invdyn"),
-        "kept": [*NUMBERS, *ARRAYS, "sets by number"],
-        "recording": digest(*data),
-        "body": repr(model.body),
-        "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),
-        "free": [repr(f) for free in frees for f in free],
-        "torques": ", ".join(f"{type(torque).__name__} {vars(torque)}" for torque in torques),
-        "integrator": f"{model.integrator}, {model.substeps} sub-steps",
-        "family": observation.family,
-        "forces": [repr(effect) for effect in model.effects],
-        "seed": seed,
-        **{name: str(value) for name, value in asdict(options).items()},
-    }

@@ -29,6 +29,7 @@ from invdyn.inference.fitting.marginal_likelihood import Fit
 from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.fitting.parameter_draws import Candidate
 from invdyn.inference.fitting.summed_evidence import SharedFit, at_common_start, fit_summed
+from invdyn.inference.free_parameters import at_start, free_parameters
 from invdyn.inference.plausible_for_body import put_right
 from invdyn.inference.posterior.explained import unexplained
 from invdyn.inference.posterior.gap_branches import fit_over_gaps
@@ -38,7 +39,7 @@ from invdyn.inference.posterior.problem import DRAWS
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.study.quantities import quantities, statistics
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.task import Task, at_start, free_parameters
+from invdyn.inference.task import Task
 from invdyn.models import ArmModel
 from invdyn.models.divergence import Diverged
 from invdyn.recordings.errors import first_line

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from invdyn.inference import SMCOptions, compare, infer, pooled, prepare
-from invdyn.inference import task as task_module
+from invdyn.inference import fit_each as fits_module
 from invdyn.models import (
     SMOOTHNESS,
     TORQUE_PROCESSES,
@@ -84,12 +84,12 @@ def test_a_choice_that_was_kept_is_not_made_again(smooth, tmp_path, monkeypatch)
         return prepare(smooth, ARM, options=SIZES, seed=0, settings=KNOWN, torque=torque, checkpoint=folder)
 
     first = again(BOTH)
-    monkeypatch.setattr(task_module, "fit_over_gaps", None)
+    monkeypatch.setattr(fits_module, "fit_over_gaps", None)
     second = again(BOTH)
     assert second.record == first.record
     assert torch.equal(second.path, first.path)
     assert type(second.problem.model.torque) is Matern52
-    monkeypatch.setattr(task_module, "ARRAYS", ("phi",))  # as an older version kept
+    monkeypatch.setattr(fits_module, "ARRAYS", ("phi",))  # as an older version kept
     with pytest.raises(InputError, match="the checkpoint of another run: kept"):
         again(BOTH)
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from invdyn.inference import SMCOptions
 from invdyn.inference.fitting.log_parameters import Free, LogParameters
 from invdyn.inference.fitting.marginal_likelihood import fit
+from invdyn.inference.free_parameters import free_parameters
 from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.inference.task import free_parameters
 from invdyn.models import ArmModel, Body, Joint, Keypoints, Learned, Link, Observation
 from invdyn.models.observation import pinhole as in_torch
 from invdyn.recordings import InputError, Recording
