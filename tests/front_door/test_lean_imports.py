@@ -76,15 +76,12 @@ arviz_on_demand.register()
 import arviz as az
 
 if sys.argv[1:]:  # a run that fails leaves no half package
-    loader, run = type(az.__spec__.loader), type(az.__spec__.loader).exec_module
-    loader.exec_module = lambda self, module: 1 / 0
+    type(az.__spec__.loader).exec_module = lambda self, module: 1 / 0
     try:
         az.plot_trace
     except ZeroDivisionError:
         pass
-    assert "arviz" not in sys.modules
-    loader.exec_module = run
-    import arviz as az
+    sys.exit("arviz" in sys.modules)
 
 barrier, names = Barrier(6), ("InferenceData", "rcParams", "hdi")
 def read(k):
@@ -98,7 +95,9 @@ assert {tuple(map(id, each if k % 2 else each[::-1])) for k, each in enumerate(f
 """
 
 
-@pytest.mark.parametrize("words", [(WHAT_COMMANDS_USE,), (BY_SIX_THREADS,), (BY_SIX_THREADS, "fails")])
+@pytest.mark.parametrize(
+    "words", [(WHAT_COMMANDS_USE,), pytest.param((BY_SIX_THREADS,), marks=pytest.mark.long), (BY_SIX_THREADS, "fails")]
+)
 def test_plots_and_statistics_of_arviz_come_when_asked_for(words):
     command = [sys.executable, "-W", "ignore", "-c", *words]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
