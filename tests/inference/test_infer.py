@@ -374,7 +374,7 @@ def test_vsmc_learns_what_the_others_fit():
     learned_length = body(length=(Learned(0.35), 0.3))
     task = prepare(recording, learned_length, options=SMCOptions(8, 20, 2), seed=0)
     names = {f.name for f in task.free}
-    assert {"torque.scale", "torque.decay", "emission.keypoint_scale", "body.length"} <= names
+    assert {"torque.scale", "emission.keypoint_scale", "body.length"} <= names
     learned = task.run("vsmc", learn=True)["posterior"]
     for name in names - {"body.length"}:
         values = learned[name].values.reshape(8, -1)
