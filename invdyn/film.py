@@ -144,7 +144,9 @@ def film_frames(
                 beneath.set_data(next(film))
             recent = (time > time[frame] - TRAIL) & (time <= time[frame])
             for picture in pictures:
-                picture.show(arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1], forces[frame])
+                picture.show(
+                    arms[:, frame], mean[frame], lines, observed[frame], observed[recent, -1], forces[:, frame]
+                )
             clock.set_text(f"{time[frame]:.2f} s")
             for cursor in cursors:
                 cursor.set_xdata([time[frame], time[frame]])
@@ -183,16 +185,16 @@ def skeleton(idata: az.InferenceData) -> list[list[int]]:
 
 
 def pushes(idata: az.InferenceData, size: float) -> np.ndarray:
-    """Lines (time, contact, 2, d) from mean centres of pressure along mean forces; NaN where a pair does not touch."""
+    """Lines (contact, time, 2, d) from mean centres of pressure along mean forces; NaN where a pair does not touch."""
     space = [list(AXIS_COLORS).index(str(name)) for name in idata["posterior"]["space"].values]
     if "contact_force" not in idata["posterior"]:
-        return np.empty((idata["posterior"].sizes["time"], 0, 2, len(space)))
+        return np.empty((0, idata["posterior"].sizes["time"], 2, len(space)))
     draws = pooled(idata)
     force, centre = (draws[name].transpose("sample", "time", "contact", "axis").values for name in OF_CONTACT)
     force, touches = force.mean(0), np.isfinite(centre).sum(0)
     middle = np.where(touches > 0, np.nansum(centre, 0), np.nan) / np.maximum(touches, 1)
     far = force * LONGEST * size / max(np.linalg.norm(force, axis=-1).max(), 1e-9)
-    return np.stack([middle, middle + far], 2)[..., space]
+    return np.stack([middle, middle + far], 2)[..., space].swapaxes(0, 1)
 
 
 class Picture:

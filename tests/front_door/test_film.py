@@ -89,7 +89,9 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
     of = {"dims": ("chain", "draw", "time", "contact", "axis"), "coords": {"contact": ["floor-foot"]}}
     idata.posterior["contact_force"] = xr.DataArray(force, **of)
     idata.posterior["centre_of_pressure"] = xr.DataArray(centre, **of)
-    lines = pushes(idata, size=2.0)[:, 0]
+    found = pushes(idata, size=2.0)
+    assert found.shape == (1, 4, 2, 2)  # contact, time, ends, space: points of a row, as an overlay has them
+    lines = found[0]
     np.testing.assert_allclose(lines[[0, 2]], [[[0.5, -0.2], [0.5, 0.4]], [[0.5, -0.2], [0.5, 0.1]]])
     assert np.isnan(lines[1]).all()
     pushed, free = film_frames(idata, np.array([0, 1]))

@@ -309,9 +309,9 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch, body):
 
     with pytest.raises(Interrupted):
         infer(SWING, body, seed=4, checkpoint=tmp_path / "run", progress=interrupt, **sizes)
-    task, reported = sys.modules["invdyn.inference.task"], []
+    fits, reported = sys.modules["invdyn.inference.fit_each"], []
     with monkeypatch.context() as patch:
-        patch.setattr(task, "fit_over_gaps", lambda *_, **__: pytest.fail("the fit was kept"))
+        patch.setattr(fits, "fit_over_gaps", lambda *_, **__: pytest.fail("the fit was kept"))
         resumed = infer(
             SWING, body, seed=4, checkpoint=tmp_path / "run", progress=lambda *step: reported.append(step), **sizes
         )
