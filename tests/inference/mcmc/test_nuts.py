@@ -58,3 +58,10 @@ def test_nuts_takes_the_plain_sequence_as_it_is():
     # 150 draws worth 50 independent ones at least
     assert np.abs((draws.mean(0) - mean) / sd).max() < 3.5 / np.sqrt(50)
     assert np.abs(draws.std(0) / sd - 1).max() < 3.5 / np.sqrt(100)
+
+
+@pytest.mark.parametrize(("chains", "draws", "known"), [(1, 3, 0), (3, 3, 0), (1, 8, 2), (2, 8, 3)])
+def test_too_few_draws_tell_nothing_and_log_nothing(chains, draws, known, capfd):
+    found = mixing(np.random.default_rng(0).normal(size=(chains, draws, 2)))
+    assert np.isfinite([*found.values()]).sum() == known
+    assert capfd.readouterr().err == ""
