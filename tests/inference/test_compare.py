@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.distributions import MultivariateNormal
 
-from invdyn.inference import METHODS, Comparison, arm_problem, compare, evidence_note, fit, prepare
+from invdyn.inference import METHODS, Comparison, arm_problem, compare, evidence_note, fit
 from invdyn.inference.held_out import Continued, log_score
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.models import Link, planar_body
@@ -134,14 +134,14 @@ def test_same_seed_same_table_and_another_method_next_to_it_changes_nothing(comp
 
 def test_parameters_are_fitted_once_for_all_methods(data, monkeypatch):
     recording, _ = data
-    fits, task = [], sys.modules[prepare.__module__]
-    fitted = task.fit_over_gaps
+    fits, module = [], sys.modules["invdyn.inference.fit_each"]
+    fitted = module.fit_over_gaps
 
     def counted(model, observations, *rest, **more):
         fits.append(len(observations))
         return fitted(model, observations, *rest, **more)
 
-    monkeypatch.setattr(task, "fit_over_gaps", counted)
+    monkeypatch.setattr(module, "fit_over_gaps", counted)
     free = {name: value for name, value in KNOWN.items() if name != "torque.scale"}
     done = compare(recording, ARM, ["smc", "laplace"], **{**SMALL, "settings": free})
     assert fits == [40, 32]  # the tail's score must not have seen the tail
