@@ -25,6 +25,7 @@ from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import StateSpaceModel
+from invdyn.models.torques.given_torques import given_torques
 from invdyn.recordings import InputError
 
 OPTIONS = SMCOptions(num_filters=8, num_particles=500, dtype=torch.float64)
@@ -72,22 +73,31 @@ class Continued(StateSpaceModel):
 def belief(idata: az.InferenceData, model: StateSpaceModel) -> tuple[Tensor, Tensor]:
     """Mean (D,) and Cholesky factor (D, D) of the last row's state in a posterior.
 
-    Raises InputError where the posterior does not hold the whole state, or too few draws of it.
+    Derivatives of a torque and the like are not in a posterior: they follow from its torques (:mod:`.given_torques`).
+
+    Raises InputError where the posterior does not tell the whole state, or has too few draws of it.
     """
-    posterior = idata["posterior"].isel(time=-1)
+    posterior = idata["posterior"]
     kept = ("residual_torque", "stated_torque", "torque")  # the model's own, of the body as its file has it
     torque = next(name for name in kept if name in posterior)
-    pieces = [posterior[name].transpose("chain", "draw", "joint").values for name in (torque, "angle", "velocity")]
-    draws = np.concatenate(pieces, -1)
+    pieces = [posterior[name].stack(path=("chain", "draw")) for name in (torque, "angle", "velocity")]
+    torques, *others = (np.array(each.transpose("path", "time", "joint").values, float) for each in pieces)
+    state, rest = torques[:, -1], np.zeros((0, 0))
+    process = getattr(model, "torque", None)
+    if process is not None and process.torques_suffice:
+        numbers = {name: value.double() for name, value in model.parameters.items() if name.startswith("torque.")}
+        time = torch.tensor(posterior["time"].values, dtype=torch.float64)
+        state, rest = (each.numpy() for each in given_torques(process, torch.as_tensor(torques), time, numbers))
+    draws = np.concatenate([state, *(each[:, -1] for each in others)], -1)
     if draws.shape[-1] != model.state_dim:
-        raise InputError("the torque process has a state that the posterior does not hold")
-    effective = idata.attrs["outer_ess"] * draws.shape[1]
-    draws = draws.reshape(-1, draws.shape[-1])
+        raise InputError("the model has a state that its posterior does not tell, such as a base's")
+    effective = idata.attrs["outer_ess"] * posterior.sizes["draw"]
     if effective < 2 * model.state_dim:
         raise InputError(f"{effective:.1f} effective draws are too few for a state of {model.state_dim} numbers")
     mean = draws.mean(0)
     deviation = draws - mean
     covariance = deviation.T @ deviation / len(draws) / (1 - 1 / effective)
+    covariance[: len(rest), : len(rest)] += rest
     # Numbers of very different size: Cholesky of the correlation. A method may be certain of a state.
     sd = np.sqrt(covariance.diagonal()).clip(1e-12)
     correlation = covariance / np.outer(sd, sd) + 1e-9 * np.eye(len(sd))

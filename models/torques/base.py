@@ -22,6 +22,8 @@ class TorqueProcess(ABC):
     """Whether :meth:`noise` gives standard deviations (..., Z) or a triangular square root (..., Z, Z)."""
     underway: bool = False
     """Whether a recording begins in the middle of a motion."""
+    torques_suffice: bool = False
+    """Whether z is linear and Gaussian, and all that rows tell of it they tell by the torques."""
     unconstrained: frozenset[str] = frozenset()
     """Parameters that may be negative (all others are positive)."""
 

@@ -33,7 +33,7 @@ class Matern(TorqueProcess):
 
     order: int
     """Number of state entries per joint, ν + 1/2."""
-    diagonal = False
+    diagonal, torques_suffice = False, True
 
     def __init__(self, lengthscale: float = 0.2):
         self.lengthscale = lengthscale

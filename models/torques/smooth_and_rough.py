@@ -26,7 +26,7 @@ from invdyn.models.torques.matern import Matern52, interleaved, triangular
 class SmoothAndRough(TorqueProcess):
     """See the top of the file; the rough part starts at ``share`` of the smooth one's sd."""
 
-    diagonal = False
+    diagonal, torques_suffice = False, True
 
     def __init__(self, lengthscale: float = 0.2, share: float = 0.1, decay: float = 20.0):
         self.smooth, self.share, self.decay = Matern52(lengthscale), share, decay

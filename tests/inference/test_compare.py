@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from torch.distributions import MultivariateNormal
 
 from invdyn.inference import METHODS, Comparison, arm_problem, compare, evidence_note, fit
-from invdyn.inference.held_out import Continued, log_score
+from invdyn.inference.held_out import Continued, belief, log_score
 from invdyn.inference.posterior.posterior import to_inference_data
-from invdyn.models import Link, planar_body
+from invdyn.models import Link, Matern32, SmoothAndRough, planar_body
+from invdyn.models.torques.given_torques import given_torques
 from invdyn.recordings import InputError, Recording, Truth
 
 TIME = 0.03 * np.arange(40)
@@ -289,3 +290,28 @@ def test_resident_peak_sees_an_allocation():
     # In a process of its own: in this one, memory that other tests have freed may be used again.
     grown = subprocess.run([sys.executable, "-W", "ignore", "-c", GROWTH], capture_output=True, text=True, check=True)
     assert float(grown.stdout) > 0.8 * 200
+
+
+@pytest.mark.parametrize("torque", [Matern32(), SmoothAndRough()], ids=lambda process: type(process).__name__)
+def test_a_torque_with_derivatives_has_a_score(data, torque):
+    """Two methods that leave nothing out predict the tail alike."""
+    recording, _ = data
+    free = {name: value for name, value in KNOWN.items() if not name.startswith("torque.")}
+    found = compare(recording, ARM, ["smc", "laplace"], torque=torque, **{**SMALL, "settings": free})
+    assert not found.notes
+    table = found.table
+    assert table.loc["smc", "log_score"] == pytest.approx(table.loc["laplace", "log_score"], abs=0.3)
+
+
+def test_a_belief_has_the_width_of_what_torques_leave_open(data):
+    """Draws that are all alike: what is left is the derivative's own variance."""
+    recording, _ = data
+    known = {name: value for name, value in KNOWN.items() if not name.startswith("torque.")}
+    head = arm_problem(recording.select(0, 32), ARM, parameters=known, torque=Matern32(), substeps=1)
+    mean = torch.zeros(head.model.state_dim, dtype=torch.float64)
+    _, root = belief(head_of(head, 60, mean, 1e-9 * torch.eye(len(mean), dtype=torch.float64)), head.model)
+    numbers = {name: value.double() for name, value in head.model.parameters.items() if name.startswith("torque.")}
+    still = torch.zeros(1, 32, 1, dtype=torch.float64)
+    _, left = given_torques(head.model.torque, still, head.model.time.double(), numbers)
+    assert left[1, 1] > 1e-3
+    assert (root @ root.mT)[1, 1] == pytest.approx(float(left[1, 1]), rel=1e-3)
