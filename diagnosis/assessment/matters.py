@@ -23,7 +23,6 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_noise
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models.local_polynomial import local_polynomial
 
 
 def tolerated(problem: DiagnosisProblem, path: Tensor) -> np.ndarray:
@@ -40,11 +39,13 @@ def tolerated(problem: DiagnosisProblem, path: Tensor) -> np.ndarray:
 
 def _jerk(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """The second derivative (…, K) rad/s³ of a velocity (T, K), on an even grid of its own."""
+    from scipy.signal import savgol_filter  # a third of a second to import, which a fit does not need
+
     first, last = float(time[0]), float(time[-1])
     count = max(round((FIXED.jerk_points - 1) * (last - first) / FIXED.jerk_span) + 1, FIXED.jerk_points)
     even, step = np.linspace(first, last, count, retstep=True)
     columns = [np.interp(even, time, column) for column in velocity.T]
-    return local_polynomial(np.stack(columns, -1), FIXED.jerk_points, 3, 2, step)
+    return savgol_filter(np.stack(columns, -1), FIXED.jerk_points, 3, deriv=2, delta=step, axis=0)
 
 
 def matters(

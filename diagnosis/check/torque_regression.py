@@ -174,7 +174,7 @@ def _local_cubic(rows: np.ndarray, window: int, order: int, step: float, stride:
 
     Every ``stride``-th of these.
 
-    :func:`scipy.signal.savgol_filter` without its ends, and without the second that scipy.signal takes to import.
+    :func:`scipy.signal.savgol_filter` at some of the rows, without the ends.
     """
     place = np.arange(window) - window // 2
     weights = np.linalg.pinv(np.vander(place, 4, increasing=True))[order] * math.factorial(order) / step**order

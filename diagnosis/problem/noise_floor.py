@@ -25,7 +25,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models.local_polynomial import local_polynomial
 from invdyn.recordings.jitter import MEDIAN, differences, jitter
 
 Growth = Callable[[np.ndarray, float], np.ndarray]
@@ -65,13 +64,15 @@ def shrunk(sd: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 def _at_rest(time: np.ndarray, track: np.ndarray, usual: float) -> float:
     """Of one point's ``track`` (T, d), whose noise is ``usual`` on average; no more than that."""
+    from scipy.signal import savgol_filter  # a third of a second to import, which a fit does not need
+
     seen = np.isfinite(track).all(-1)
     time, track = time[seen], track[seen]
     if len(track) < FIXED.num_speed_bins * FIXED.min_bin_rows or usual == 0.0:
         return usual
     step = float(np.median(np.diff(time)))
     window = min(max(9, 2 * round(FIXED.velocity_span / step / 2) + 1), 2 * ((len(track) - 1) // 2) + 1)
-    velocity = local_polynomial(track, window, FIXED.velocity_degree, 1, step)
+    velocity = savgol_filter(track, window, FIXED.velocity_degree, deriv=1, delta=step, axis=0)
     speed = np.linalg.norm(velocity, axis=-1)
     sizes, along, whole = [], [], []
     for c in range(track.shape[-1]):

@@ -16,9 +16,8 @@ from typing import Protocol
 import numpy as np
 import torch
 from pyro.distributions import Distribution
+from scipy.signal import savgol_filter
 from torch import Tensor
-
-from invdyn.models.local_polynomial import local_polynomial
 
 TIE = 10.0
 """s, rad or m: how far a configuration may be from that of the row before; next to nothing against what is seen."""
@@ -64,7 +63,7 @@ def poses(model: Posed, rows: np.ndarray) -> np.ndarray:
     path = np.zeros((len(rows), model.state_dim))
     time = model.time.numpy()
     if window > ORDER:
-        tangent = local_polynomial(tangent, window, ORDER)
+        tangent = savgol_filter(tangent, window, ORDER, axis=0)
     path[:, z : z + nv] = tangent
     path[:, z + nv : z + 2 * nv] = np.gradient(tangent, time, axis=0)
     if model.na:
