@@ -3,10 +3,10 @@ from .catalogue import CATALOGUE as CATALOGUE
 from .catalogue import CatalogueEntry as CatalogueEntry
 from .check.before import check_before as check_before
 from .diagnose import diagnose as diagnose
-from .diagnose import save as save
 from .excite.design import Excitation as Excitation
 from .excite.design import design_motion as design_motion
 from .hypotheses.search import search as search
 from .problem.diagnosis_problem import DiagnosisProblem as DiagnosisProblem
 from .problem.diagnosis_problem import diagnosis_problem as diagnosis_problem
+from .report.save import save as save
 from .rules import Rules as Rules

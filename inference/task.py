@@ -24,7 +24,7 @@ from invdyn.inference.filters.best_guide import guides_agree
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
-from invdyn.inference.fit_each import fingerprint, fit_each, fitted_on_the_middle
+from invdyn.inference.fit_processes import fingerprint, fit_processes, fitted_on_the_middle
 from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.fitting.parameter_draws import (
     Candidate,
@@ -225,7 +225,7 @@ def prepare(
     def begin(number: int, known: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         return fitted_on_the_middle(recording, partial(bound, process=processes[number]), frees[number], known)
 
-    fits, doubts_of = fit_each(problems, frees, begin, report, kept)
+    fits, doubts_of = fit_processes(problems, frees, begin, report, kept)
     chosen = int(np.argmax([each.log_marginal for each in fits]))
     problem, free, best = problems[chosen], frees[chosen], fits[chosen]
     fitted = replace(problem, model=best.model)

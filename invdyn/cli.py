@@ -186,7 +186,7 @@ def diagnose(
     given.check_exist()
 
     from invdyn.diagnosis.diagnose import diagnose as run
-    from invdyn.diagnosis.diagnose import save
+    from invdyn.diagnosis.report.save import save
     from invdyn.diagnosis.report.sentences import details, interim, verdict
     from invdyn.diagnosis.write_back.ensemble import write_ensemble, write_members
     from invdyn.diagnosis.write_back.write_back import write_back as corrected

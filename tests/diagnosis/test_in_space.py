@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from trees import panda
 
 from invdyn.diagnosis.assessment.findings import key
-from invdyn.diagnosis.diagnose import diagnose, save
+from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.problem.unknowns import unknowns
 from invdyn.diagnosis.report.arm import arm
+from invdyn.diagnosis.report.save import save
 from invdyn.diagnosis.report.sentences import verdict
 from invdyn.diagnosis.sensitivity.screen import added, screen
 from invdyn.diagnosis.write_back.write_back import write_back

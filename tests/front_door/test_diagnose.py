@@ -70,8 +70,9 @@ def calls(monkeypatch):
         Path(folder, "diagnosis.json").write_text(json.dumps(diagnosis.to_json()))
         write_report(diagnosis, Path(folder, "report.html"))
 
-    fake.diagnose, fake.save = diagnose, save
+    fake.diagnose = diagnose
     monkeypatch.setitem(sys.modules, fake.__name__, fake)
+    monkeypatch.setattr("invdyn.diagnosis.report.save.save", save)
     return calls
 
 

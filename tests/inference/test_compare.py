@@ -135,7 +135,7 @@ def test_same_seed_same_table_and_another_method_next_to_it_changes_nothing(comp
 
 def test_parameters_are_fitted_once_for_all_methods(data, monkeypatch):
     recording, _ = data
-    fits, module = [], sys.modules["invdyn.inference.fit_each"]
+    fits, module = [], sys.modules["invdyn.inference.fit_processes"]
     fitted = module.fit_over_gaps
 
     def counted(model, observations, *rest, **more):

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from invdyn.inference import SMCOptions, compare, infer, pooled, prepare
-from invdyn.inference import fit_each as fits_module
+from invdyn.inference import fit_processes as fits_module
 from invdyn.models import (
     SMOOTHNESS,
     TORQUE_PROCESSES,

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from robot_xml import play, robot
 
-from invdyn.diagnosis.diagnose import diagnose, save
+from invdyn.diagnosis.diagnose import diagnose
 from invdyn.diagnosis.report.numbers import handy
+from invdyn.diagnosis.report.save import save
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.write_back.ensemble import write_ensemble
 from invdyn.diagnosis.write_back.write_back import check_write_back, write_back

@@ -309,7 +309,7 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch, body):
 
     with pytest.raises(Interrupted):
         infer(SWING, body, seed=4, checkpoint=tmp_path / "run", progress=interrupt, **sizes)
-    fits, reported = sys.modules["invdyn.inference.fit_each"], []
+    fits, reported = sys.modules["invdyn.inference.fit_processes"], []
     with monkeypatch.context() as patch:
         patch.setattr(fits, "fit_over_gaps", lambda *_, **__: pytest.fail("the fit was kept"))
         resumed = infer(

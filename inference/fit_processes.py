@@ -30,7 +30,7 @@ ARRAYS = ("phi", "covariance", "scatter")
 """Of a fit, that a checkpoint keeps."""
 
 
-def fit_each(
+def fit_processes(
     problems: Sequence[Problem],
     frees: Sequence[list[Free]],
     begin: Callable[[int, Mapping[str, Tensor]], Mapping[str, Tensor]],
