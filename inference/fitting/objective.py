@@ -68,8 +68,7 @@ class _Expansion:
         over: mean and covariance that the model was linearised over.
         alone: log-evidences at φ, and with one parameter up (P,), and the Hessian's diagonal (P,).
         moves: how mean path and a draw's way from it move with φ (2, P, T, D), and the states' variances (T, D).
-        whole: the last Hessian all of whose entries were computed.
-        age: how many evaluations ago that was.
+        age: how many evaluations ago all entries of the Hessian were computed, and not its diagonal alone.
     """
 
     phi: bytes
@@ -80,7 +79,6 @@ class _Expansion:
     over: tuple[Tensor, Tensor]
     alone: tuple[np.ndarray, np.ndarray, np.ndarray]
     moves: tuple[np.ndarray, np.ndarray]
-    whole: np.ndarray
     age: int
 
 
@@ -137,7 +135,7 @@ class Objective(Generic[M]):
                 with diverging():
                     pairs, _ = self._shifted(phi, _pairs(len(phi)), *known.over, 0)
                 hessian = _whole_hessian(known.alone, pairs)
-                self._known = replace(known, hessian=hessian, whole=hessian, age=0)
+                self._known = replace(known, hessian=hessian, age=0)
             return hessian
         steps = GRADIENT_STEP / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1 / self.sd**2))
         rows = np.zeros_like(hessian)
@@ -177,7 +175,7 @@ class Objective(Generic[M]):
         mode = gauss_newton(model, self.observations, start=self.path)
         # One pass: more of them can run away where the posterior is very wide.
         smoother = posterior_linearisation(model, self.observations, mode, 1)
-        last, age = (np.eye(size), 0) if self._known is None else (self._known.whole, self._known.age)
+        last, age = (np.eye(size), 0) if self._known is None else (self._known.hessian, self._known.age)
         unit, pairs = STEP * np.eye(size), _pairs(size)
         whole = len(pairs) <= 2 * (2 * size + 1) or age >= FRESH
         shifts = np.concatenate([np.zeros((1, size)), unit, -unit, pairs[: len(pairs) if whole else 0]])
@@ -198,7 +196,6 @@ class Objective(Generic[M]):
             over=over,
             alone=alone,
             moves=(slope, over[1].diagonal(dim1=-2, dim2=-1).numpy()),
-            whole=hessian if whole else last,
             age=0 if whole else age + 1,
         )
 

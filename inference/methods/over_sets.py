@@ -18,7 +18,7 @@ Shapes: S sets, M filters in all, R draws of each, observations (T, O), paths (M
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from typing import Any
@@ -54,6 +54,26 @@ ROWS_AT_ONCE = 20_000
 """Rows × parameter sets that are linearised in one batch: memory."""
 
 
+@dataclass(frozen=True)
+class Task:
+    """What one worker does: posteriors of S ``problems`` by a ``method``.
+
+    Attributes:
+        starts: (S, T, D) paths that the smoothers begin at.
+        counts: filters of each problem.
+        offsets: nats that each problem's evidences have in them.
+    """
+
+    method: str
+    problems: Sequence[Problem]
+    starts: Tensor
+    counts: Sequence[int]
+    offsets: Sequence[float]
+    options: SMCOptions
+    seed: int
+    settings: dict | None = None
+
+
 def over_sets(
     method: str,
     problem: Problem,
@@ -85,14 +105,16 @@ def over_sets(
         run if checkpoint is None else partial(kept_as_tensors, run),
         [
             (
-                method,
-                [replace(problem, model=sets[k].model) for k in numbers],
-                torch.stack([sets[k].path for k in numbers]),
-                [counts[k] for k in numbers],
-                [sets[k].offset for k in numbers],
-                options,
-                derived(seed, numbers[0]),
-                settings,
+                Task(
+                    method,
+                    [replace(problem, model=sets[k].model) for k in numbers],
+                    torch.stack([sets[k].path for k in numbers]),
+                    [counts[k] for k in numbers],
+                    [sets[k].offset for k in numbers],
+                    options,
+                    derived(seed, numbers[0]),
+                    settings,
+                ),
             )
             for numbers in tasks
         ],
@@ -104,30 +126,18 @@ def over_sets(
     return combine([part for each in found for part in _parts(each)], seed=seed)
 
 
-def run_sets(
-    method: str,
-    problems: Sequence[Problem],
-    starts: Tensor,
-    counts: Sequence[int],
-    offsets: Sequence[float],
-    options: SMCOptions,
-    seed: int,
-    settings: dict | None,
-    progress: Report | None = None,
-) -> Any:
-    """Posterior of the problems (S,), with ``counts`` filters each, from ``starts`` (S, T, D): what one worker does.
-
-    One InferenceData where their bodies are one, else one each; evidences have their set's ``offsets`` in them.
-    """
+def run_sets(task: Task, progress: Report | None = None) -> Any:
+    """Posterior of a task's problems, all at once: one InferenceData where their bodies are one, else one each."""
+    problems, options, seed = task.problems, task.options, task.seed
     rows = problems[0].observations.detach().cpu().double()
     many = stacked([each.model.to(dtype=torch.float64, device="cpu") for each in problems])
-    smoothers = posterior_linearisation(many, rows, gauss_newton(many, rows, start=starts), 1)
-    owners = [k for k, count in enumerate(counts) for _ in range(count)]
+    smoothers = posterior_linearisation(many, rows, gauss_newton(many, rows, start=task.starts), 1)
+    owners = [k for k, count in enumerate(task.counts) for _ in range(count)]
     with seeded(seed, options.device):
-        more = torch.tensor(offsets).double()[owners]
+        more = torch.tensor(task.offsets).double()[owners]
         numbers = sets = torch.tensor(owners)
         together = _of_one_body(problems)
-        if method == "laplace":
+        if task.method == "laplace":
             evidences, result = smoothers.log_evidence[owners] + more, None
             if together:  # draws of a part weigh the same: each set has as many as it weighs
                 sets = numbers[resample(evidences[None])[0].sort().values]
@@ -142,35 +152,26 @@ def run_sets(
             one = replace(problems[int(numbers[own][0])], model=model)
             part = None if result is None else _of_filters(result, own, evidences)
             drawn = paths if own.all() else paths[own]  # all of them are not copied
-            found.append(_contents(method, one, drawn, evidences[own], part, options, seed, settings or {}))
+            found.append(_contents(task, one, drawn, evidences[own], part))
     if progress is not None:
         progress(1, 1)
     return found
 
 
-def run_set(
-    method: str,
-    problems: Sequence[Problem],
-    starts: Tensor,
-    counts: Sequence[int],
-    offsets: Sequence[float],
-    options: SMCOptions,
-    seed: int,
-    settings: dict | None,
-    progress: Report | None = None,
-) -> Any:
+def run_set(task: Task, progress: Report | None = None) -> Any:
     """The same of one problem by any method."""
-    few = replace(options, num_filters=counts[0], refits=min(options.refits, 1))
-    found = METHODS[method](problems[0], options=few, start=starts[0], seed=seed, settings=settings)
-    found["sample_stats"]["log_evidence"] = found["sample_stats"]["log_evidence"] + offsets[0]
+    few = replace(task.options, num_filters=task.counts[0], refits=min(task.options.refits, 1))
+    run = METHODS[task.method]
+    found = run(task.problems[0], options=few, start=task.starts[0], seed=task.seed, settings=task.settings)
+    found["sample_stats"]["log_evidence"] = found["sample_stats"]["log_evidence"] + task.offsets[0]
     if progress is not None:
         progress(1, 1)
     return [found]
 
 
-def kept_as_tensors(run: Callable[..., Any], *arguments: Any, progress: Report | None = None) -> dict[str, Tensor]:
+def kept_as_tensors(run: Callable[..., Any], task: Task, progress: Report | None = None) -> dict[str, Tensor]:
     """The same as tensors, for a checkpoint: a netCDF file in bytes takes longer to write than to compute."""
-    found = run(*arguments)
+    found = run(task)
     if progress is not None:
         progress(1, 1)
     return {f"{k}.{name}": value for k, each in enumerate(found) for name, value in packed(each).items()}
@@ -251,16 +252,10 @@ def _of_filters(result: FilterResult, own: Tensor, evidences: Tensor) -> FilterR
 
 
 def _contents(
-    method: str,
-    problem: Problem,
-    paths: Tensor,
-    evidences: Tensor,
-    result: FilterResult | None,
-    options: SMCOptions,
-    seed: int,
-    settings: dict,
+    task: Task, problem: Problem, paths: Tensor, evidences: Tensor, result: FilterResult | None
 ) -> az.InferenceData:
     """InferenceData of paths (M, R, T, D) of filters or smoothers with ``evidences`` (M,)."""
+    method, seed, options, settings = task.method, task.seed, task.options, task.settings or {}
     if result is None:
         whole = float(evidences.mean())
         found = to_inference_data(problem, paths, method=method, seed=seed, settings=settings, log_evidence=whole)

@@ -13,8 +13,9 @@ from stiff_arm import arm
 
 from invdyn.inference import Free, fit
 from invdyn.inference.fitting import objective
-from invdyn.inference.fitting.objective import FRESH, Objective
+from invdyn.inference.fitting.objective import FRESH, HEAVY_MIN_GAIN, LEFT, STEP, Objective
 from invdyn.inference.smoothing import posterior_linearisation
+from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inputs import load_body
 from invdyn.models import Keypoints, Observation, StateSpaceModel
 from invdyn.models.divergence import Diverged
@@ -217,6 +218,22 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
 
+def test_other_parameters_are_looked_at_over_the_same_posterior():
+    """Of an arm, whose mode obeys the dynamics and is not the posterior's mean."""
+    model = paper_arm(load_body("paper_planar_arm"), num_frames=12)
+    rows = torch.as_tensor(record(model, 0)[0].keypoints.reshape(12, -1))
+    one, phi = Objective(model, rows, [Free("body.length")], None), np.array([0.02, -0.01])
+    one.value(phi)
+    mode = gauss_newton(one.at(phi), rows, start=None).path
+    assert torch.equal(one.path, mode)
+    assert not torch.allclose(one._known.over[0], mode, rtol=0, atol=1e-9)
+    others = np.stack([phi, phi + STEP * np.eye(2)[0]])
+    evidence, paths = one.around(phi, others)
+    middle, up, _ = one._known.alone
+    np.testing.assert_allclose(evidence, [middle[0], up[0]], rtol=0, atol=1e-6)
+    np.testing.assert_allclose((paths[1] - paths[0]) / STEP, one.moved(np.eye(2)[0]), rtol=0.02, atol=0.02)
+
+
 class OneSided(StateSpaceModel):
     """A point that a spring pushes on one side of zero alone."""
 
@@ -261,7 +278,9 @@ def test_with_heavy_tails_the_curvature_is_that_of_evidences_each_at_its_own_mod
     objective.value(middle)
     values = [[objective.value(sign * step) for sign in (-1, 0, 1)] for step in steps]
     exact = [(low + high - 2 * here) / 0.01**2 for low, here, high in values]
-    assert np.diagonal(objective.curvature(middle)) == pytest.approx(exact, rel=0.03)
+    found = objective.curvature(middle)
+    assert np.diagonal(found) == pytest.approx(exact, rel=0.03)
+    np.testing.assert_array_equal(found, found.T)
     assert np.diagonal(objective.hessian(middle)) != pytest.approx(exact, rel=0.1)
 
 
@@ -312,6 +331,19 @@ def test_of_many_parameters_the_hessian_is_whole_where_the_search_ends(chain, y)
     assert many.hessian(phi) == pytest.approx(found, abs=0)
 
 
+def test_of_many_parameters_correlations_are_renewed_after_some_evaluations(chain, y):
+    model, rows = chain.model(STEPS), torch.as_tensor(y)
+    many = Objective(model, rows, [Free("transition_root"), Free("emission_root", sd=0.7)], None)
+    places = [0.01 * k * np.ones(len(many.sd)) for k in range(FRESH + 2)]
+    found = [many.hessian(each) for each in places]
+    sd = [np.sqrt(np.abs(np.diagonal(each))) for each in found]
+    correlations = [each / np.outer(own, own) for each, own in zip(found, sd, strict=True)]
+    assert [np.count_nonzero(each) > len(each) for each in found] == [False] * FRESH + [True, True]
+    off = ~np.eye(len(many.sd), dtype=bool)
+    np.testing.assert_allclose(correlations[-1][off], correlations[-2][off], rtol=1e-9, atol=1e-12)
+    assert not np.allclose(sd[-1], sd[-2], rtol=1e-6)
+
+
 @pytest.mark.parametrize("fails", ["raises", "is infinite"])
 def test_an_evaluation_that_fails_leaves_no_trace(chain, y, monkeypatch, fails):
     """The Hessian where the search ends is of what was evaluated there, and the path where it ended begins the next."""
@@ -335,3 +367,63 @@ def test_an_evaluation_that_fails_leaves_no_trace(chain, y, monkeypatch, fails):
     assert tried.curvature(phi) == pytest.approx(clean.curvature(phi), abs=0)
     assert tried.value(phi + 0.01) == pytest.approx(clean.value(phi + 0.01), abs=1e-9)
     assert tried.hessian(phi + 0.01) == pytest.approx(clean.hessian(phi + 0.01), rel=1e-6, abs=1e-6)
+
+
+def known_to_be(objective, phi, gradient, hessian):
+    """The objective as if it had just found these at φ."""
+    objective.value(phi)
+    objective._known = replace(objective._known, gradient=np.array(gradient), hessian=np.array(hessian))
+
+
+def test_the_last_step_is_newtons_and_gains_what_a_quadratic_does(chain, y):
+    objective, phi = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None), np.zeros(2)
+    slope, bend = np.array([0.2, -0.1]), np.array([[4.0, 1.0], [1.0, 3.0]])
+    known_to_be(objective, phi, slope, bend)
+    step, gain = objective.last_step(phi)
+    assert step == pytest.approx(-np.linalg.solve(bend, slope))
+    assert gain == pytest.approx(-(slope @ step + step @ bend @ step / 2))
+    assert objective.last_step(phi + 0.1) is None  # that is not where it looked
+    smallest = np.sqrt(np.linalg.eigvalsh(bend)[0])
+    for share, there in ((0.99, True), (1.01, False)):  # of the gain that is the last step's at most
+        known_to_be(objective, phi, slope * np.sqrt(share * LEFT * smallest / gain), bend)
+        assert (objective.last_step(phi) is not None) == there
+    known_to_be(objective, phi, [0.0, 0.0], [[1.0, 2.0], [2.0, 1.0]])
+    assert objective.last_step(phi) is None  # a saddle
+
+
+def test_under_heavy_tails_no_step_is_left(chain, y):
+    objective, phi = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None), np.zeros(2)
+    objective.heavy = True
+    for share, there in ((0.99, True), (1.01, False)):
+        known_to_be(objective, phi, [np.sqrt(share * 2 * HEAVY_MIN_GAIN), 0.0], np.eye(2))
+        last = objective.last_step(phi)
+        assert (last is not None) == there
+        assert last is None or (not last[0].any() and last[1] == 0)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_slopes_are_looked_at_within_the_prior_and_what_fails_leaves_the_search_its_own(chain, y, monkeypatch, fails):
+    """A Hessian that says nothing would have the gradient at the largest step."""
+    narrow = [replace(each, sd=sd) for each, sd in zip(FREE, (0.2, 0.04), strict=True)]
+    objective, phi = Objective(chain.model(STEPS), torch.as_tensor(y), narrow, None), np.zeros(2)
+    flat = np.array([[1e-9, 1e-10], [1e-10, 1e-9]])
+    known_to_be(objective, phi, [0.0, 0.0], flat)
+    objective.heavy, taken = True, []
+
+    def expanded(self, at):
+        taken.append(at)
+        if fails:
+            raise Diverged("too far")
+        return replace(self._known, gradient=np.array([[3.0, 1.0], [1.0, 2.0]]) @ at)
+
+    monkeypatch.setattr(Objective, "_expand", expanded)
+    assert objective.curvature(phi) == pytest.approx(flat if fails else np.array([[3.0, 1.0], [1.0, 2.0]]))
+    np.testing.assert_allclose(taken, np.diag([0.05, 0.01])[: len(taken)])
+
+
+def test_where_an_evaluation_failed_the_curvature_is_one(chain, y, monkeypatch):
+    objective, phi = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None), np.zeros(2)
+    objective.value(phi)
+    failing(monkeypatch, lambda at: np.abs(at).max() > 0.3)
+    for objective.heavy in (False, True):
+        np.testing.assert_array_equal(objective.curvature(phi + 0.5), np.eye(2))
