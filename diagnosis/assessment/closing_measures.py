@@ -84,14 +84,12 @@ def measured(
     passive: bool,
     cause: FittedHypothesis | None = None,
     complete: bool = False,
-) -> Closing | None:
-    """The regression's answer, and a search's, on rows that the regression has not seen; None where it has none.
+) -> Closing:
+    """The regression's answer, and a search's, on rows that the regression has not seen.
 
     ``cause`` is the search's as other rows know it; ``complete`` says that it leaves nothing.
     """
     there = regression.unseen
-    if there is None:
-        return None
     nominal = model_on(there.motion, body, passive)
     models = {"nominal": nominal, REGRESSION: with_coefficients(nominal, there.coefficients)}
     torque = {REGRESSION: regression.torque}

@@ -22,9 +22,8 @@ def by_regression_alone(
 ) -> Diagnosis | None:
     """The diagnosis that a regression with far gains gives; None where it closes no torque on rows it has not seen."""
     body, rules = problem.model.body, problem.rules
-    closing = measured(regression, body, passive)
     torque = regression.torque
-    if closing is None or torque.share <= 0:
+    if torque.share <= 0:
         return None
     names, nan = regression.joints, float("nan")
     before, after = (dict(zip(names, each.tolist(), strict=True)) for each in (torque.before, torque.after))
@@ -44,6 +43,6 @@ def by_regression_alone(
         where=replace(empty.where, joints=dict.fromkeys(names, nan)),
         method={NO_SEARCH: words},
         regression=regression,
-        closing=closing,
+        closing=measured(regression, body, passive),
         regressed=regression_cause(regression, problem, passive),
     )

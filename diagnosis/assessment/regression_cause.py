@@ -21,8 +21,6 @@ from invdyn.models.effects.inertias import inertia_of
 
 def regression_cause(regression: Regression, problem: DiagnosisProblem, passive: bool) -> Cause | None:
     """Its effects with their numbers; None where it states none that the catalogue has."""
-    if regression.unseen is None:
-        return None
     nominal = model_on(regression.unseen.motion, problem.model.body, passive)
     mean = _regressed(regression.coefficients, problem, nominal)
     if not mean.effects:

@@ -36,12 +36,12 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem) -> Start:
     Sizes are the regression's, or small. Links begin as the file has them, as a torque tells sums of their numbers
     alone; in space they are left out unless they are stated, as they are many. A gain imitates usual effects together.
     """
-    if regression is None or regression.unseen is None:
+    if regression is None:
         return Start()
     if not any(s.everywhere and len(s.places) > 1 and s.effect in JOINT_KINDS for s in regression.stated):
         return Start()
     body, scale = problem.model.body, problem.model.scale
-    found = {key: value for key, value in regression.coefficients.items() if key[0] != INERTIAL}
+    found = dict(regression.coefficients)
     found |= {(WITHIN[k[0]], *k[1:]): -v for k, v in found.items() if k[0] in WITHIN}
     stated = {s.effect for s in regression.stated}
     usual = {*FRICTION, "armature"} | ({INERTIAL} if body.dimensions == 2 or INERTIAL in stated else set())

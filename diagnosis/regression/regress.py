@@ -87,11 +87,11 @@ class Regression:
     torque: TorqueClosing
     plain: TorqueClosing
     rows: int
-    coefficients: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
-    unseen: Unseen | None = field(default=None, repr=False, compare=False)
-    draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(default=(), repr=False, compare=False)
-    far_gains: Mapping[str, float] = field(default_factory=dict, compare=False)
-    others: tuple[Estimated, ...] = ()
+    coefficients: Mapping[tuple[str, str, str], float]
+    unseen: Unseen = field(repr=False, compare=False)
+    draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(repr=False, compare=False)
+    far_gains: Mapping[str, float] = field(compare=False)
+    others: tuple[Estimated, ...]
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""

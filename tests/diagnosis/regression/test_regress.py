@@ -1,6 +1,7 @@
 """What a regression of torques states of motions whose effects are known, with encoders' noise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -170,6 +171,30 @@ def test_a_search_starts_where_effects_are_everywhere():
     one = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]), seconds=6.0)
     assert start_of(regress(one, BODY), bound).effects == ()
     assert start_of(None, bound).effects == ()
+
+
+def test_a_start_has_what_else_is_stated_and_links_where_they_are_few():
+    """Springs next to what is usual, of a constant torque with its sign; no start from one joint, or links alone."""
+    bound = diagnosis_problem(recorded(0, friction, seconds=2.0), BODY)
+    every = list(bound.catalogue.everywhere(BODY, []))
+
+    def start(*stated, dimensions=2, **coefficients):
+        own = [SimpleNamespace(effect=e, places=("a", "b")[:n], everywhere=all_) for e, n, all_ in stated]
+        body = SimpleNamespace(dimensions=dimensions)
+        model = SimpleNamespace(body=body, scale=bound.model.scale)
+        problem = SimpleNamespace(model=model, catalogue=SimpleNamespace(everywhere=lambda *_: every))
+        found = {(effect, "elbow", "torque"): value for effect, value in coefficients.items()}
+        return start_of(SimpleNamespace(stated=own, coefficients=found), problem)
+
+    usual, links = ("viscous_friction", 2, True), ("inertial_error", 2, True)
+    with_spring = start(usual, constant_torque=0.7, coulomb_friction=0.2)
+    assert [effect.key for effect in with_spring.others] == ["joint_stiffness.elbow"]
+    assert with_spring.values["joint_stiffness.elbow.torque"] == -0.7
+    assert start(usual, coulomb_friction=0.2).others == ()
+    for stated, dimensions, some in (((usual,), 2, True), ((usual,), 3, False), ((usual, links), 3, True)):
+        assert ("inertial_error" in start(*stated, dimensions=dimensions).everywhere) is some
+    for other in (("viscous_friction", 1, True), ("viscous_friction", 2, False), links):
+        assert start(other).effects == ()
 
 
 def test_links_that_were_found_are_those_of_the_model():
