@@ -61,7 +61,7 @@ def differences(function, phi, h=1e-3):
 
 
 @pytest.mark.parametrize("phi", [[0.0, 0.0], [0.4, -0.3], [-0.7, 0.5]])
-def test_value_gradient_and_hessian_are_the_kalman_filters(chain, y, phi):
+def test_value_gradient_and_hessian_are_the_kalman_filters(chain, y, phi, monkeypatch):
     phi = np.array(phi)
     objective = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None)
     exact = negative_log_posterior(chain, y)
@@ -71,6 +71,8 @@ def test_value_gradient_and_hessian_are_the_kalman_filters(chain, y, phi):
     scale = np.abs(hessian).max()
     assert objective.gradient(phi) == pytest.approx(gradient, abs=5e-3 * scale)
     assert objective.hessian(phi) == pytest.approx(hessian, abs=0.15 * scale)
+    monkeypatch.setattr(Objective, "_shifted", None)  # of few parameters it was whole
+    np.testing.assert_array_equal(objective.curvature(phi), objective.hessian(phi))
 
 
 def test_it_finds_the_kalman_filters_optimum(chain, y):
@@ -427,3 +429,18 @@ def test_where_an_evaluation_failed_the_curvature_is_one(chain, y, monkeypatch):
     failing(monkeypatch, lambda at: np.abs(at).max() > 0.3)
     for objective.heavy in (False, True):
         np.testing.assert_array_equal(objective.curvature(phi + 0.5), np.eye(2))
+
+
+def test_one_draw_of_the_parameters_is_off_by_what_means_and_variances_move(chain, y):
+    """A mean that moves by m sds, and log-variances by g, with one factor; a state that is known exactly does not."""
+    objective = Objective(chain.model(STEPS), torch.as_tensor(y), FREE, None)
+    objective.value(np.zeros(2))
+    m, g, covariance = np.array([0.3, -0.2]), np.array([0.5, 0.4]), np.array([[0.4, 0.1], [0.1, 0.2]])
+    variance = np.stack([np.linspace(1, 3, STEPS), np.zeros(STEPS)], -1)
+    way = np.sqrt(variance) * (-1.0) ** np.arange(STEPS)[:, None]
+    slopes = np.stack([np.multiply.outer(each, way) for each in (m, g / 2)])
+    objective._known = replace(objective._known, moves=(slopes, variance))
+    expected = 2 * (m @ covariance @ m) ** 2 + g @ covariance @ g
+    np.testing.assert_allclose(objective.scatter(covariance), [expected, 0.0])
+    objective._known = replace(objective._known, moves=(slopes * np.nan, variance))
+    assert objective.scatter(covariance)[0] == np.inf

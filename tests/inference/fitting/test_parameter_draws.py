@@ -111,7 +111,8 @@ def test_some_parameters_are_drawn_given_the_others(rows):
     torch.manual_seed(0)
     sets = parameter_draws([one], rows, 100)
     phi = np.log([each.model.parameters["step"].item() / START for each in sets])
-    _, mean, sd = exact(rows.squeeze(-1).numpy(), one.model.parameters["noise"].item())
+    evidence, mean, sd = exact(rows.squeeze(-1).numpy(), one.model.parameters["noise"].item())
+    assert one.fit.log_marginal == pytest.approx(evidence, abs=0.1)
     assert phi.mean() == pytest.approx(mean, abs=0.4 * sd)
     assert phi.std() == pytest.approx(sd, rel=0.3)
 
@@ -188,3 +189,15 @@ def test_a_long_recording_takes_fewer_sets(rows, candidates):
     assert few > 3 * sets_needed(many, [0], 256)
     known = [Candidate(Walk(NOISES[0]), [], fit(Walk(NOISES[0]), rows, []))]
     assert sets_needed(known, [0], 256) == 1
+
+
+def test_sets_are_half_the_draws_times_what_one_set_is_off_by(candidates):
+    """Two models of probability ½ add ¼; where it is not known how much one is off, as many as may be."""
+    small, large, unknown = (
+        replace(candidates[0], fit=replace(candidates[0].fit, scatter=np.array(own)))
+        for own in ([0.1, 9.0], [0.3, 9.0], [])
+    )
+    assert sets_needed([small], [0], 256) == 13  # of 12.8
+    assert sets_needed([small, large], [0], 256) == 58  # of 128 · (0.05 + 0.15 + 0.25)
+    assert sets_needed([small], [0, 1], 2) == 9
+    assert sets_needed([unknown], [0], 2) == 1e6

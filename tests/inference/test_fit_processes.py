@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.inference import fit, fit_each
+from invdyn.inference import fit, fit_processes
 from invdyn.inference.free_parameters import at_start, free_parameters
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import Link, Matern32, OrnsteinUhlenbeck, planar_body
@@ -32,8 +32,8 @@ def bound(part, process=None):
 
 @pytest.fixture
 def short_pilots(monkeypatch):
-    monkeypatch.setattr(fit_each, "PILOT_ROWS", PILOT)
-    monkeypatch.setattr(fit_each, "PILOT_FROM", FROM)
+    monkeypatch.setattr(fit_processes, "PILOT_ROWS", PILOT)
+    monkeypatch.setattr(fit_processes, "PILOT_FROM", FROM)
 
 
 def test_a_long_recording_is_fitted_on_its_middle_first(recording, short_pilots, monkeypatch):
@@ -47,9 +47,9 @@ def test_a_long_recording_is_fitted_on_its_middle_first(recording, short_pilots,
         begun.append(begin)
         return fit(*given, begin=begin)
 
-    monkeypatch.setattr(fit_each, "fit", kept)
+    monkeypatch.setattr(fit_processes, "fit", kept)
     known = {"torque.scale": torch.tensor([0.3], dtype=torch.float64)}
-    found = fit_each.fitted_on_the_middle(recording, seen, free, known)
+    found = fit_processes.fitted_on_the_middle(recording, seen, free, known)
     assert begun == [known]
     np.testing.assert_array_equal(parts[0].time, recording.time[30:50])
     problem = bound(recording.select(30, 50))
@@ -68,10 +68,10 @@ def test_what_has_no_such_middle_begins_as_it_is(recording, short_pilots):
     def refused(part):
         raise InputError("the arm is not seen there")
 
-    assert not fit_each.fitted_on_the_middle(recording.select(0, FROM - 1), bound, free, {})
-    assert not fit_each.fitted_on_the_middle(recording, refused, free, {})
+    assert not fit_processes.fitted_on_the_middle(recording.select(0, FROM - 1), bound, free, {})
+    assert not fit_processes.fitted_on_the_middle(recording, refused, free, {})
     other = Other(recording.time, recording.keypoints, recording.keypoint_names)
-    assert not fit_each.fitted_on_the_middle(other, bound, free, {})
+    assert not fit_processes.fitted_on_the_middle(other, bound, free, {})
 
 
 def test_another_process_begins_at_the_torques_and_motion_that_were_found(recording, monkeypatch):
@@ -82,10 +82,10 @@ def test_another_process_begins_at_the_torques_and_motion_that_were_found(record
         given.append(like)
         return fit(model, rows, free, **like), []
 
-    monkeypatch.setattr(fit_each, "fit_over_gaps", over_gaps)
+    monkeypatch.setattr(fit_processes, "fit_over_gaps", over_gaps)
     frees = [free_parameters(each, tuple(KNOWN)) for each in problems]
     own = {"torque.decay": torch.tensor([3.0], dtype=torch.float64)}
-    fits, _ = fit_each.fit_each(problems, frees, lambda number, known: own if number else {}, None, None)
+    fits, _ = fit_processes.fit_processes(problems, frees, lambda number, known: own if number else {}, None, None)
     first, like = fits[0], given[1]
     assert first.path.shape[-1] == 4  # τ, its slope, angle and velocity
     torch.testing.assert_close(like["start"], first.path[:, [0, 2, 3]], rtol=0, atol=0)
