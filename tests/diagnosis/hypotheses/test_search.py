@@ -14,6 +14,7 @@ from invdyn.diagnosis.hypotheses.add import add
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
+from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.hypotheses.search import (
     climb_moves,
     exchange,
@@ -306,18 +307,23 @@ def test_only_what_leaves_nothing_stands_instead_of_stray_detections(
 
 def test_what_is_usual_is_dropped_at_all_its_places(monkeypatch):
     """And what is odd stays; a set that leaves nothing is only made smaller."""
-    tried = []
+    tried, added = [], []
     module = sys.modules["invdyn.diagnosis.hypotheses.search"]
-    monkeypatch.setattr(module, "refine", lambda _, effects, values, *rest, **more: tried.append((effects, values)))
+
+    def refined(_, effects, values, *rest, **options):
+        tried.append((effects, values))
+        return options
+
+    monkeypatch.setattr(module, "refine", refined)
     usual = [EFFECTS[name](joint) for name in ("viscous_friction", "armature") for joint in ("shoulder", "elbow")]
     every = [*usual, EFFECTS["joint_stiffness"]("elbow")]
     values = {f"{effect.key}.number": 1.0 for effect in every}
-    best = SimpleNamespace(effects=tuple(every), values=values, path=None, searched={}, key="", complete=True)
+    best = SimpleNamespace(effects=tuple(every), values=values, path=None, searched={"of": 1}, key="", complete=True)
     regime = SimpleNamespace(knows_torque=True)
     found = SimpleNamespace(
         problem=SimpleNamespace(min_size=0.0, regime=regime),
         everywhere=frozenset({"viscous_friction", "armature", "coulomb_friction"}),
-        **{"add": lambda cause: None, "best": best, "first": [1]},
+        **{"add": added.append, "best": best, "first": [1]},
     )
     assert [move for move, _ in moves_of(found, ())] == [thin]
     best.complete = False
@@ -327,3 +333,41 @@ def test_what_is_usual_is_dropped_at_all_its_places(monkeypatch):
     left = "joint_stiffness.elbow"
     assert kept == [{f"{name}.shoulder", f"{name}.elbow", left} for name in ("viscous_friction", "armature")]
     assert all(set(own) == {f"{key}.number" for key in keys} for keys, (_, own) in zip(kept, tried, strict=True))
+    assert added == 2 * [best.searched]
+
+
+def test_a_start_is_refined_with_what_else_is_stated_and_without(monkeypatch):
+    """Of effects that are looked for; what gains nothing, or is not plausible, is left alone."""
+    module = sys.modules[search.__module__]
+    usual, odd, other = (EFFECTS[name]("elbow") for name in ("armature", "joint_stiffness", "viscous_friction"))
+    values = {f"{effect.key}.number": 1.0 for effect in (usual, odd, other)}
+    monkeypatch.setattr(module, "climb_moves", lambda found: None)
+    monkeypatch.setattr(module, "considered", lambda *_: None)
+
+    def begun(start, nats=1.0, plausible=True):
+        tried, kept = [], []
+        none = SimpleNamespace(log_evidence=0.0)
+        bound = SimpleNamespace(
+            budget=SimpleNamespace(share=0.0, missed=set()), rules=DEFAULT, regime=SimpleNamespace(path_size=0.0)
+        )
+        found = SimpleNamespace(
+            problem=bound, candidates=[usual, odd], pool={"": none}, path=None, everywhere=frozenset(), add=kept.append
+        )
+
+        def refined(_, effects, own, *rest):
+            tried.append(([effect.key for effect in effects], set(own)))
+            return SimpleNamespace(plausible=plausible, log_evidence=nats)
+
+        monkeypatch.setattr(module, "refine", refined)
+        monkeypatch.setattr(module, "_initial_pool", lambda *_: found)
+        search(bound, None, False, start=start)
+        return tried, len(kept), found.everywhere, bound.budget.share
+
+    rules, names = DEFAULT.search, frozenset({"armature"})
+    alone, both = (([e.key for e in of], {f"{e.key}.number" for e in of}) for of in ((usual,), (usual, odd)))
+    start = Start((usual, other), values, names, (odd,))
+    assert begun(start) == ([alone, both], 2, names, rules.started_share)
+    assert begun(replace(start, others=())) == ([alone], 1, names, rules.started_share)
+    for doubt in ({"nats": -1.0}, {"plausible": False}):
+        assert begun(start, **doubt) == ([alone, both], 0, frozenset(), rules.search_share)
+    assert begun(Start()) == ([], 0, frozenset(), rules.search_share)
