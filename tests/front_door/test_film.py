@@ -1,17 +1,20 @@
 """Films have the right frames at the right times, show what was observed, and are whole or absent."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from invdyn.film import (
     FRAMES_PER_SECOND,
     MAX_SHOWN_FRAMES,
+    Picture,
     arm_points,
     film_frames,
     pushes,
@@ -94,9 +97,26 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
     lines = found[0]
     np.testing.assert_allclose(lines[[0, 2]], [[[0.5, -0.2], [0.5, 0.4]], [[0.5, -0.2], [0.5, 0.1]]])
     assert np.isnan(lines[1]).all()
-    pushed, free = film_frames(idata, np.array([0, 1]))
-    green = [np.all(frame == np.round(255 * np.array(to_rgb(GREEN))), axis=-1).sum() for frame in (pushed, free)]
-    assert green[0] > green[1] + 50  # those of the legend are in both
+    overlay = SimpleNamespace(
+        pixels=lambda points: 100 + 20 * points,
+        pictures=lambda shown, _: iter(np.zeros((len(shown), 1, 1, 3))),
+        size=(200, 200),
+    )
+    for over in (None, overlay):
+        pushed, free = film_frames(idata, np.array([0, 1]), overlay=over)
+        green = [np.all(frame == np.round(255 * np.array(to_rgb(GREEN))), axis=-1).sum() for frame in (pushed, free)]
+        assert green[0] > green[1] + 50 > 50  # those of the legend are in both
+    idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
+    np.testing.assert_allclose(pushes(idata, size=2.0)[0, 0], [[0.5, 7.0], [0.5, 7.0]])
+
+
+def test_a_view_from_the_side_shows_forces_along_its_own_axes():
+    picture = Picture(Figure().add_subplot(), [1, 2], "none")
+    force = np.arange(6.0).reshape(1, 2, 3)
+    points = np.zeros((2, 3))
+    picture.show(points[None], points, [[0, 1]], points[:1], points[:0], force)
+    (line,) = picture.forces.get_segments()
+    np.testing.assert_array_equal(line, [[1, 2], [4, 5]])
 
 
 def test_time_line_moves_with_time(make_posterior):

@@ -115,26 +115,36 @@ def test_the_legend_names_as_many_axes_as_there_are(make_posterior, number):
 
 
 def test_contacts_that_act_have_panels_of_force_and_centre(make_posterior):
-    """In the colours of axes; a centre has a gap where half of the draws do not touch."""
+    """In the colours of axes; a centre has a gap where most of the draws do not touch.
+
+    Below those of joints; a contact acts whose force is of 1 N in the median of draws, in some row.
+    """
     idata = make_posterior(2)
     drawn, rng = idata.posterior.torque.transpose("chain", "draw", "time", "joint"), np.random.default_rng(0)
-    shape = (*drawn.shape[:3], 2, 3)
-    force = rng.normal([0, 0, 20], 1, shape) * np.array([1, 0])[:, None]  # the second never acts
+    shape = (*drawn.shape[:3], 3, 3)
+    force = rng.normal([0, 0, 20], 1, shape) * np.array([1, 0.02, 0])[:, None]  # the second is too weak
+    force[0, 0, :, 1], force[..., 5:8, 2, 2], force[..., 50, 0, 2] = 50, 20, 1e4
     centre = rng.normal(0, 0.01, shape)
-    centre[:, :, 20:30] = np.nan
+    centre[:3, :, 20:30], centre[:2, :, 30:40] = np.nan, np.nan  # of five filters
     of = {"dims": ("chain", "draw", "time", "contact", "axis")}
-    coords = {"contact": ["floor-foot", "floor-knee"], "axis": list("xyz")}
+    coords = {"contact": ["floor-foot", "floor-knee", "floor-hand"], "axis": list("xyz")}
     for name, values, unit in (("contact_force", force, "N"), ("centre_of_pressure", centre, "m")):
         idata.posterior[name] = xr.DataArray(values, **of, coords=coords, attrs={"units": unit})
     figure = plot_posterior(idata)
-    assert len(figure.axes) == 2 + 2 * 3
+    assert len(figure.axes) == 2 + 2 * (2 + 2)
     pushed, place = panel(figure, "floor-foot force"), panel(figure, "floor-foot centre of pressure")
     assert [pushed.get_ylabel(), place.get_ylabel()] == ["N", "m"]
+    assert [panel(figure, f"{name} force").get_subplotspec().rowspan.start for name in coords["contact"][::2]] == [2, 3]
+    assert pushed.get_subplotspec().get_gridspec().nrows == 4
+    assert pushed.get_ylim()[1] < 100  # of most rows, without the one that strikes
     assert [line.get_color() for line in pushed.get_lines()[:3]] == list(AXIS_COLORS.values())
     median = np.median(force.reshape(-1, *shape[2:]), 0)
     np.testing.assert_allclose(pushed.get_lines()[2].get_ydata(), median[:, 0, 2])
     assert np.flatnonzero(np.isnan(place.get_lines()[0].get_ydata())).tolist() == list(range(20, 30))
     assert texts(figure)[:3] == ["x", "y", "z"]
+    idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
+    keypoint = plot_posterior(idata).axes[0].get_lines()
+    assert [line.get_color() for line in keypoint[:2]] == [AXIS_COLORS["x"], AXIS_COLORS["z"]]
 
 
 def test_encoders_alone_are_enough(make_posterior):
