@@ -9,6 +9,7 @@ import torch
 from invdyn.inference import SMCOptions, pooled
 from invdyn.inference.fitting.parameter_draws import ParameterSet
 from invdyn.inference.methods.over_sets import Task, over_sets, run_sets, stacked
+from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Link, Matern32, planar_body
@@ -156,3 +157,22 @@ def test_draws_that_are_kept_block_by_block_are_the_same(sets, monkeypatch):
         for name, values in whole[group].data_vars.items():
             np.testing.assert_allclose(blocks[group][name].values, values.values, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(noise_of_chains(blocks), [0.002] * 2 + [0.004] * 2 + [0.006] * 2, rtol=0.05)
+
+
+def test_one_by_one_a_method_has_each_sets_filters_and_path_and_its_offset(sets, monkeypatch):
+    problem, own = sets
+    own, run, given = [replace(own[0], offset=own[0].offset + 0.7), *own[1:]], METHODS["laplace"], []
+
+    def seen(one, *, options, start, **more):
+        given.append((one.model, options.num_filters, options.refits, start))
+        return run(one, options=options, start=start, **more)
+
+    monkeypatch.setitem(METHODS, "laplace", seen)
+    options = SMCOptions(5, 10, 4, refits=3)
+    found = over_sets("laplace", problem, own, options=options, seed=0, together=False)
+    assert [each[1:3] for each in given] == [(2, 1), (2, 1), (1, 1)]
+    assert all(
+        one is each.model and torch.equal(path, each.path) for (one, *_, path), each in zip(given, own, strict=True)
+    )
+    evidences = found["sample_stats"]["log_evidence"].values.ravel()
+    np.testing.assert_allclose(np.sort(evidences), [0, 0, 0, 0.7, 0.7], atol=0.02)

@@ -85,6 +85,8 @@ def test_joints_bear_what_sensors_in_them_measure():
         assert found[2, 4] == pytest.approx(own, abs=1e-5)
         assert found[0, 2] == pytest.approx(0, abs=1e-4)
     assert contacts[0] > 0 == contacts[1]
+    again = joint_reactions(model, states[None, [1, 0]].numpy())[1]
+    np.testing.assert_array_equal(again[:, ::-1], wrench[:, :2])  # whatever came before
 
 
 def test_muscles_are_driven_by_excitations_and_keep_activations():
@@ -230,6 +232,20 @@ def test_a_base_that_an_actuator_lifts_is_not_carried_by_limbs():
     driven = EngineModel(lift, np.arange(4) * 0.01, drive=Controls()).inputs.pushed(lift.model)
     assert sorted(driven) == [0, 1, 2]
     assert typical_forces(lift, driven)[2] == pytest.approx(9.81 * 0.1)
+
+
+def test_usual_forces_hold_springs_and_accelerate_inertias():
+    """Of a wheel that nothing else loads, of 0.1 + 2 · 0.5² kg·m², of a spring of 40 N/m, and of a speck."""
+    inertial = '<inertial pos="{} 0 0" mass="{}" diaginertia="{} {} {}"/></body>'
+    wheel, speck = (inertial.format(*each) for each in ((0.5, 2, 0.1, 0.1, 0.1), (0, 1e-9, 1e-9, 1e-9, 1e-9)))
+    scene = Scene.of(
+        '<mujoco><compiler autolimits="false"/><worldbody><site name="post"/>'
+        f'<body name="wheel"><joint name="hub" axis="0 0 1"/>{wheel}'
+        f'<body name="sled"><joint name="rail" type="slide" axis="1 0 0" stiffness="40"/>{speck}'
+        f'<body name="speck"><joint name="pin" axis="0 0 1"/>{speck}</worldbody></mujoco>'
+    )
+    poses = np.random.default_rng(0).uniform(-1, 1, (20, 3))[1:]  # about the reference, which is the first
+    assert typical_forces(scene) == pytest.approx([5 * 0.6, 40 * np.abs(poses[:, 1]).max(), 1e-6])
 
 
 def test_processes_of_any_kind_drive_it():
