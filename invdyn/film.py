@@ -115,7 +115,7 @@ def film_frames(
         observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
         observed = np.full((len(time), 1, arms.shape[-1]), np.nan)
-    forces = pushes(idata, float(np.ptp(mean, axis=(0, 1)).max()))
+    forces = force_lines(idata, float(np.ptp(mean, axis=(0, 1)).max()))
     if overlay is not None:
         arms, mean, observed, forces = map(overlay.pixels, (arms, mean, observed, forces))
     dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
@@ -184,7 +184,7 @@ def skeleton(idata: az.InferenceData) -> list[list[int]]:
     return lines
 
 
-def pushes(idata: az.InferenceData, size: float) -> np.ndarray:
+def force_lines(idata: az.InferenceData, size: float) -> np.ndarray:
     """Lines (contact, time, 2, d) from mean centres of pressure along mean forces; NaN where a pair does not touch."""
     space = [list(AXIS_COLORS).index(str(name)) for name in idata["posterior"]["space"].values]
     if "contact_force" not in idata["posterior"]:

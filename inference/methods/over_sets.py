@@ -55,7 +55,7 @@ ROWS_AT_ONCE = 20_000
 
 
 @dataclass(frozen=True)
-class Task:
+class SetBatch:
     """What one worker does: posteriors of S ``problems`` by a ``method``.
 
     Attributes:
@@ -105,7 +105,7 @@ def over_sets(
         run if checkpoint is None else partial(kept_as_tensors, run),
         [
             (
-                Task(
+                SetBatch(
                     method,
                     [replace(problem, model=sets[k].model) for k in numbers],
                     torch.stack([sets[k].path for k in numbers]),
@@ -126,7 +126,7 @@ def over_sets(
     return combine([part for each in found for part in _parts(each)], seed=seed)
 
 
-def run_sets(task: Task, progress: Report | None = None) -> Any:
+def run_sets(task: SetBatch, progress: Report | None = None) -> Any:
     """Posterior of a task's problems, all at once: one InferenceData where their bodies are one, else one each."""
     problems, options, seed = task.problems, task.options, task.seed
     rows = problems[0].observations.detach().cpu().double()
@@ -158,7 +158,7 @@ def run_sets(task: Task, progress: Report | None = None) -> Any:
     return found
 
 
-def run_set(task: Task, progress: Report | None = None) -> Any:
+def run_set(task: SetBatch, progress: Report | None = None) -> Any:
     """The same of one problem by any method."""
     few = replace(task.options, num_filters=task.counts[0], refits=min(task.options.refits, 1))
     run = METHODS[task.method]
@@ -169,7 +169,7 @@ def run_set(task: Task, progress: Report | None = None) -> Any:
     return [found]
 
 
-def kept_as_tensors(run: Callable[..., Any], task: Task, progress: Report | None = None) -> dict[str, Tensor]:
+def kept_as_tensors(run: Callable[..., Any], task: SetBatch, progress: Report | None = None) -> dict[str, Tensor]:
     """The same as tensors, for a checkpoint: a netCDF file in bytes takes longer to write than to compute."""
     found = run(task)
     if progress is not None:
@@ -252,7 +252,7 @@ def _of_filters(result: FilterResult, own: Tensor, evidences: Tensor) -> FilterR
 
 
 def _contents(
-    task: Task, problem: Problem, paths: Tensor, evidences: Tensor, result: FilterResult | None
+    task: SetBatch, problem: Problem, paths: Tensor, evidences: Tensor, result: FilterResult | None
 ) -> az.InferenceData:
     """InferenceData of paths (M, R, T, D) of filters or smoothers with ``evidences`` (M,)."""
     method, seed, options, settings = task.method, task.seed, task.options, task.settings or {}

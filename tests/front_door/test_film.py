@@ -17,7 +17,7 @@ from invdyn.film import (
     Picture,
     arm_points,
     film_frames,
-    pushes,
+    force_lines,
     save_film,
     shown_frames,
     still_parts,
@@ -92,7 +92,7 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
     of = {"dims": ("chain", "draw", "time", "contact", "axis"), "coords": {"contact": ["floor-foot"]}}
     idata.posterior["contact_force"] = xr.DataArray(force, **of)
     idata.posterior["centre_of_pressure"] = xr.DataArray(centre, **of)
-    found = pushes(idata, size=2.0)
+    found = force_lines(idata, size=2.0)
     assert found.shape == (1, 4, 2, 2)  # contact, time, ends, space: points of a row, as an overlay has them
     lines = found[0]
     np.testing.assert_allclose(lines[[0, 2]], [[[0.5, -0.2], [0.5, 0.4]], [[0.5, -0.2], [0.5, 0.1]]])
@@ -107,7 +107,7 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
         green = [np.all(frame == np.round(255 * np.array(to_rgb(GREEN))), axis=-1).sum() for frame in (pushed, free)]
         assert green[0] > green[1] + 50 > 50  # those of the legend are in both
     idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
-    np.testing.assert_allclose(pushes(idata, size=2.0)[0, 0], [[0.5, 7.0], [0.5, 7.0]])
+    np.testing.assert_allclose(force_lines(idata, size=2.0)[0, 0], [[0.5, 7.0], [0.5, 7.0]])
 
 
 def test_a_view_from_the_side_shows_forces_along_its_own_axes():

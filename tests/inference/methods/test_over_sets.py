@@ -8,7 +8,7 @@ import torch
 
 from invdyn.inference import SMCOptions, pooled
 from invdyn.inference.fitting.parameter_draws import ParameterSet
-from invdyn.inference.methods.over_sets import Task, over_sets, run_sets, stacked
+from invdyn.inference.methods.over_sets import SetBatch, over_sets, run_sets, stacked
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.linearised import gaussian_smoother
@@ -40,7 +40,7 @@ def test_a_batch_has_each_sets_smoother(sets):
     problem, own = sets
     problems = [replace(problem, model=each.model) for each in own]
     starts, offsets = torch.stack([each.path for each in own]), [each.offset for each in own]
-    (whole,) = run_sets(Task("laplace", problems, starts, [2, 1, 3], offsets, SMCOptions(6, 10, 100), 0))
+    (whole,) = run_sets(SetBatch("laplace", problems, starts, [2, 1, 3], offsets, SMCOptions(6, 10, 100), 0))
     drawn_of = whole["posterior"]["torque"].transpose("chain", "draw", ...).values[..., 0]
     for each, mine in zip(own, (slice(0, 2), slice(2, 3), slice(3, 6)), strict=True):
         evidences = whole["sample_stats"]["log_evidence"].values[mine]
