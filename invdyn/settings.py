@@ -55,7 +55,8 @@ def spelled(kind: type, name: str) -> str:
     notes = get_args(get_type_hints(kind, include_extras=True)[name])[1:]
     if any(isinstance(each, Setting) for each in notes):
         return f"--set {name}"
-    declared = [option for each in notes for option in getattr(each, "param_decls", None) or ()]
+    # an Option in an annotation has its first name in the place of a default
+    declared = [first for each in notes if isinstance(first := getattr(each, "default", None), str)]
     return declared[0] if declared else f"--{name.replace('_', '-')}"
 
 

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import invdyn.inference
+from invdyn.diagnosis_options import Diagnosed
 from invdyn.options import present_names
 from invdyn.plots import quantiles
 from invdyn.recordings import load, read_sto, read_table, read_truth
 from invdyn.renamed_options import with_new_names
+from invdyn.settings import spelled
 from invdyn.summary import independent_draws, summary_text
 
 GIVEN = {"arm.toml", "rec.csv", "hand.csv"}
@@ -53,6 +55,11 @@ def test_the_old_name_of_a_method_works_with_a_warning():
     with pytest.warns(UserWarning, match="the method 'nested' is now 'smc'"):
         assert present_names("nested, laplace") == "smc,laplace"
     assert present_names("laplace") == "laplace"
+
+
+def test_a_field_is_called_what_a_command_line_calls_it():
+    names = {"mapping": "--map", "episodes": "--set episodes", "held_out": "--held-out"}
+    assert {name: spelled(Diagnosed, name) for name in names} == names
 
 
 def test_old_flags_become_values():

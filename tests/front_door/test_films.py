@@ -219,6 +219,7 @@ def test_an_overlay_lies_on_the_film(folder, shared, make_posterior):
             ["infer", "l.csv", *INFER[2:], "--fps", "30"],
             "l.csv: this is a table of one camera's keypoints: leave --tracker out, which is for a film",
         ),
+        ([*INFER, "--map", "arm.toml"], "f.mov: a film has pixels and its own times: leave --map out, which is for"),
         (words(INFER, body="other.toml"), "the body's keypoint 'hand' is not tracked; tracked are elbow, wrist"),
         (words(INFER, tracker="arm.toml"), "arm.toml: not a network of `invdyn train`"),
         ([*INFER, "--set", "tracks=l.csv/t.csv"], "l.csv/t.csv: cannot write"),

@@ -58,3 +58,21 @@ def test_a_few_exchanged_rows_and_missing_points_pass():
 def test_a_single_length_tells_no_names():
     for one, other in permutations(("shoulder", "elbow")):
         check_names(moving(scale=2.0), {(one, other): 0.3}, NAMES)
+
+
+def test_lengths_that_differ_by_a_tenth_tell_no_names():
+    """A body has that much from one side to the other; no one number of the recording's is odd."""
+    links = {("hip", "left"): 0.40, ("hip", "right"): 0.36}
+    points = {name: np.full((9, 2), [x, 0.0]) for name, x in (("hip", 0.0), ("left", 0.36), ("right", -0.40))}
+    check_names(points, links, list(points))
+
+
+def test_exchanged_names_are_told_where_points_are_missing():
+    """Of points that are never seen together an exchange says nothing; of one name there is none to exchange."""
+    points = moving(noise=0.002)
+    wrong = {**points, "wrist": points["hand"].copy(), "hand": points["wrist"]}
+    wrong["shoulder"] = points["shoulder"].copy()
+    wrong["shoulder"][::2], wrong["wrist"][1::2] = np.nan, np.nan
+    with pytest.raises(InputError, match="'wrist' and 'hand' seem to be exchanged"):
+        check_names(wrong, LINKS, NAMES)
+    check_names(wrong, LINKS, ["wrist"])
