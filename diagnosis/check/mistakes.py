@@ -106,8 +106,8 @@ def find(
         limit = max(rules.equal_misfit * worth[0][0], rules.min_misfit)
         rivals = [(misfit, mistake) for misfit, mistake in worth if misfit < limit]
         small = bool(np.ptp(states[-1].q, axis=0).max() < math.tau)
-        _, best = min(rivals, key=lambda each: (small and each[1].kind == "degrees", each[1].kind in FITTED))
-        others = tuple(mistake for _, mistake in rivals if mistake.kind != best.kind)
+        best = min(rivals, key=partial(_order, small))[1]
+        others = tuple(mistake for _, mistake in rivals if mistake is not best)
         found.append(Found(best, math.nan, math.nan, others, own))
         states.append(best.right(states[-1]) or states[-1])
         lefts.append(fit.explain(states[-1]))
@@ -115,6 +115,15 @@ def find(
     while found and any(lefts[len(found)].missed(each.mistake.joints) > rules.max_joint_misfit for each in found):
         dropped = _stated(fit, [found.pop()], states[len(found) :], lefts[len(found) + 1])[0]
     return _stated(fit, found, states, lefts[len(found)]), dropped
+
+
+def _order(small: bool, rival: tuple[float, Mistake]) -> tuple[bool, bool, float, tuple[int, ...]]:
+    """Which of equally good mistakes is said first; of two that mirror each other, that of the joint nearer the base.
+
+    Misfits are rounded: those of an arm and of its mirror image differ in the last digit alone.
+    """
+    misfit, mistake = rival
+    return small and mistake.kind == "degrees", mistake.kind in FITTED, round(misfit, 9), mistake.joints
 
 
 def _stated(fit: TorqueFit, found: Sequence[Found], states: Sequence[Motion], right: Explained) -> list[Found]:

@@ -152,6 +152,7 @@ def test_a_sign_of_a_servo_is_wrong_about_the_zero_of_its_file(tmp_path):
     (reading,) = read_logs(str(tmp_path / "log.csv"), SERVO_ARM, str(tmp_path / "map.toml"))
     (wrong,) = check(reading, SERVO_ARM, effects=False).mistakes
     assert (wrong.kind, wrong.joints) == ("direction", ("shoulder",))
+    assert wrong.others == ("at elbow angles and torques are counted the other way (clockwise)",)  # its mirror image
     assert wrong.after < 0.1
 
 
