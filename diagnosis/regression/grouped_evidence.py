@@ -13,7 +13,11 @@ P(one | several | all). The set grows and shrinks by the step that gains most, u
 
 No model of a real robot is right, and evidence takes what is left for chance. So a step counts only if it also predicts
 better, by more than the standard error of that: in F folds of neighbouring rows, each predicted by a fit to the others
-(Stone 1974; Racine 2000; the one-standard-error rule: Breiman, Friedman, Olshen & Stone 1984).
+(Stone 1974; Racine 2000). One that leaves effects out counts where its error is within a standard error (the rule of
+Breiman, Friedman, Olshen & Stone 1984).
+
+Gains of all motors and masses of all links have a factor in common, which no torque shows. No single place can leave
+such a set, as the others keep the factor. So steps keep the n places whose values are farthest from the median, too.
 
 A friction, a rotor or a spring that would be less than nothing at some joint is left out there.
 
@@ -93,16 +97,16 @@ class Choice:
     rules: Rules
     within: Mapping[str, str] = field(default_factory=dict)
 
-    def chosen(self) -> Chosen:
-        """The set of highest score that single steps lead to."""
-        best = self._fitted(())
+    def chosen(self, start: Sequence[Statement] = ()) -> Chosen:
+        """The set of highest score that single steps lead to from ``start``."""
+        best = self._fitted(tuple(start))
         best = replace(best, unseen=self._unseen(best))
         while True:
-            tried = [self._fitted(step) for step in self._steps(best.statements)]
+            tried = [self._fitted(step) for step in self._steps(best)]
             least = best.score + self.rules.search.equal_gain
             better = sorted((each for each in tried if each.score > least), key=lambda each: -each.score)
             predicted = (replace(each, unseen=self._unseen(each)) for each in better)
-            if (step := next((each for each in predicted if lower(best.unseen, each.unseen)), None)) is None:
+            if (step := next((each for each in predicted if _counts(best, each)), None)) is None:
                 break
             best = step
         return best
@@ -132,8 +136,9 @@ class Choice:
         without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]
         return replace(best, gain=tuple(float(best.score - each.score) for each in without))
 
-    def _steps(self, now: Sequence[Statement]) -> Iterator[tuple[Statement, ...]]:
+    def _steps(self, best: Chosen) -> Iterator[tuple[Statement, ...]]:
         """Sets that differ by one statement's presence, places or size."""
+        now, value = best.statements, dict(zip(best.columns, best.values.tolist(), strict=True))
         taken = {statement.kind: n for n, statement in enumerate(now)}
         for n in range(len(now)):
             yield _less(now, n)
@@ -146,7 +151,7 @@ class Choice:
             else:
                 mine = set(own.columns)
                 sets += [tuple(p for p in places if (p in mine) != (p == other)) for other in places]
-                sets.append(tuple(own.columns))
+                sets += [tuple(own.columns), *_farthest(own, value)]
             for some, size in product(filter(None, dict.fromkeys(sets)), FIXED.regression_sizes):
                 yield (*rest, Statement(kind, {place: places[place] for place in some}, size))
 
@@ -206,6 +211,24 @@ class Choice:
             total -= log(len(self.kinds)) + log(len(FIXED.regression_sizes))
             total += log_of_places(len(statement.columns), len(self.kinds[statement.kind]), self.rules)
         return total
+
+
+def _farthest(own: Statement, value: Mapping[int, float]) -> Iterator[tuple[str, ...]]:
+    """The n places of a statement with one column each whose values are farthest from the median, for each n."""
+    if any(len(columns) > 1 for columns in own.columns.values()):
+        return
+    values = {place: value[p] for place, (p,) in own.columns.items()}
+    middle = float(np.median(list(values.values())))
+    order = sorted(values, key=lambda place: -abs(values[place] - middle))
+    yield from (tuple(order[:n]) for n in range(1, len(order)))
+
+
+def _counts(before: Chosen, after: Chosen) -> bool:
+    """Whether a step predicts better; with fewer columns, whether it predicts no worse by a standard error."""
+    if len(after.columns) >= len(before.columns):
+        return lower(before.unseen, after.unseen)
+    error = before.unseen.std(ddof=1) / np.sqrt(len(before.unseen))
+    return bool(after.unseen.mean() <= before.unseen.mean() + error)
 
 
 def lower(before: np.ndarray, after: np.ndarray) -> bool:

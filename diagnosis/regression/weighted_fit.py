@@ -99,7 +99,7 @@ def weighted_fit(
         moments = _moments(effects, weights, tau)
         tolerated = rules.evidence.tolerance * effects.required
         choice = Choice(moments, kinds, effects.size, effects.least, tolerated, rules, WITHIN)
-        chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
+        chosen = choice.including(choice.chosen(chosen.statements) if plain is None else choice.plain(plain), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)

@@ -23,6 +23,7 @@ from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.measured_motion import hold_mean, measured_motion
 from invdyn.diagnosis.regression.regress import regress
+from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Link, planar_body
 from invdyn.models.dynamics.registry import dynamics_for
@@ -225,6 +226,37 @@ def test_motors_that_give_less_are_not_friction_that_is_more():
         assert own["actuator_gain", joint, "gain"].value == pytest.approx(-0.2, abs=0.02)
         for key in (("viscous_friction", joint, "damping"), ("coulomb_friction", joint, "torque")):
             assert key not in own or abs(own[key].value) < 0.02
+
+
+def test_motors_and_links_are_named_where_all_have_a_factor_in_common():
+    """All gains and all masses times a factor would explain the torques as well: the fewest places differ."""
+    rng, time, joints = np.random.default_rng(0), np.arange(0, 14, 1 / RATE), 5
+    body, heavy = (
+        planar_body(
+            "five",
+            [
+                Link(f"l{k}", f"p{k}", f"p{k + 1}", 0.4 - 0.03 * k, mass if k == joints - 1 else 1.6 - 0.2 * k)
+                for k in range(joints)
+            ],
+            gravity=(0.0, -9.81),
+        )
+        for mass in (0.6, 0.8)
+    )
+    w = 2 * np.pi * rng.uniform(0.15, 1.2, (5, joints))
+    a, phase = rng.uniform(0.3, 1.0, w.shape) / w, rng.uniform(0, 2 * np.pi, w.shape)
+    angle = time[:, None, None] * w + phase
+    q, qd, qdd = ((a * w**n * wave).sum(1) for n, wave in enumerate((np.sin(angle), np.cos(angle), -np.sin(angle))))
+    needed = inverse(dynamics_for(heavy), heavy.parameters(), SimpleNamespace(q=q, qd=qd, qdd=qdd))
+    given = needed + 0.5 * np.sign(qd) + 0.2 * qd
+    torque = given / [1.12, 1.0, 1.0, 0.9, 1.0] + 0.02 * rng.standard_normal(q.shape)
+    seen, names = q + 1e-4 * rng.standard_normal(q.shape), body.joint_names
+    log = Recording(time, np.empty((len(q), 0, 2)), (), angles=seen, torques=torque, joint_names=names)
+    result = regress(log, body)
+    stated = {s.effect: set(s.places) for s in result.stated}
+    assert stated["actuator_gain"] == {"p0", "p3"}
+    assert stated["inertial_error"] == {"l4"}
+    gains = [found(result)["actuator_gain", name, "gain"].value for name in ("p0", "p3")]
+    assert gains == pytest.approx([0.12, -0.1], abs=0.03)
 
 
 def test_numbers_beside_a_gain_are_the_robots_own():
