@@ -352,7 +352,7 @@ def _followed(
     """Variables that the torque which the simulation lacks follows: those of a formula for all of it, in which a cause
     is not known. None where the torque is unknown, or all that the best cause changes is how the motion is seen.
     """
-    moved = any(effect.side == "dynamics" for effect in best.effects)
+    moved = not all(effect.sensor for effect in best.effects)
     if not bound.regime.knows_torque or not (moved or formula):
         return ()
     whole = formula if best is none else describe(bound, none, none.path)

@@ -41,6 +41,7 @@ from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models import ArticulatedBody
+from invdyn.models.effects.base import side_of
 from invdyn.recordings import Recording
 
 
@@ -111,7 +112,7 @@ def assembled(
         link_names=body.link_names,
         tracks=_tracks(bound, along),
         screened=tuple((key(s.effect), float(s.log_evidence - _nothing(found))) for s in added(found.first)),
-        visibility=tuple(Visibility(key(s.effect), s.effect.side, float(s.dprime)) for s in added(found.first)),
+        visibility=tuple(Visibility(key(s.effect), side_of(s.effect), float(s.dprime)) for s in added(found.first)),
         method=_method(bound, found, weighed, held_out),
         not_looked_at=found.missed,
         posterior=posterior(bound, best, weighed.confirmed.get(best.key) or confirm(bound, best, seed), seed),

@@ -107,7 +107,7 @@ def measured(
 
 def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
     """The simulation with a cause's effects and the body's numbers as it has them."""
-    known = [effect for effect in cause.effects if effect.side == "dynamics" and not isinstance(effect, Hidden)]
+    known = [effect for effect in cause.effects if not effect.sensor and not isinstance(effect, Hidden)]
     numbers = cause.model.with_effects().body_parameters()._asdict()
     own = {f"body.{name}": numbers[name] for name in ("mass", "com", "inertia") if name in numbers}
     filed = {n: v for n, v in cause.model.parameters.items() if n.startswith("body.") and n[5:] not in numbers}

@@ -19,7 +19,7 @@ from invdyn.diagnosis.problem.cause import FittedHypothesis
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import bounds, unknowns
-from invdyn.models.effects.base import Effect, Parameter, Scale
+from invdyn.models.effects.base import Effect, Parameter, Scale, side_of
 
 
 def place(effect: Effect) -> dict[str, str]:
@@ -68,7 +68,7 @@ def finding(
             after = estimate(before + e.draws, e.unit, e.narrowed)
             changes[name] = Change(before, replace(after, mean=before + e.mean))
     known = CATALOGUE.get(effect.name) is entry
-    return Finding(effect.name, effect.side, place(effect), estimates, changes, None if known else entry)
+    return Finding(effect.name, side_of(effect), place(effect), estimates, changes, None if known else entry)
 
 
 def described_by(

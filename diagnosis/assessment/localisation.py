@@ -14,7 +14,7 @@ from invdyn.models.effects.base import Effect
 
 def joints_of(effect: Effect, body: ArticulatedBody) -> list[int]:
     """Joints of the body that an effect acts at; none of one on the whole arm, or on what a camera sees."""
-    filmed = effect.side == "observation" and effect.sensor != "encoders"
+    filmed = effect.sensor not in ("", "encoders")
     if filmed or effect.site == "arm" or not effect.place:
         return []
     if effect.site == "link":
@@ -60,7 +60,7 @@ def where(
     for cause, probability in causes.values():
         for effect in cause.effects:
             share = probability / len(cause.effects)
-            moves = effect.side == "dynamics"
+            moves = not effect.sensor
             dynamics, observation = dynamics + share * moves, observation + share * (not moves)
             read += share * (effect.sensor == "encoders")
             if moves or effect.sensor == "encoders":

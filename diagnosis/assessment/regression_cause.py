@@ -15,7 +15,7 @@ from invdyn.diagnosis.regression.as_model import Coefficients, model_on, with_co
 from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.models import ArmModel
-from invdyn.models.effects.base import PREFIX, Effect
+from invdyn.models.effects.base import PREFIX, Effect, side_of
 from invdyn.models.effects.inertias import inertia_of
 
 
@@ -69,7 +69,7 @@ def _finding(problem: DiagnosisProblem, effect: Effect, mean: Start, draws: list
     for name, quantity in entry.body_file_fields.items():
         if name in described and (before := problem.model.scale.filed(quantity, effect.place[0])):
             changes[name] = Change(before, _estimate(before + described[name][0], described[name][1]))
-    return Finding(effect.name, effect.side, place(effect), estimates, changes, entry)
+    return Finding(effect.name, side_of(effect), place(effect), estimates, changes, entry)
 
 
 def _estimate(values: np.ndarray, unit: str) -> Estimate:

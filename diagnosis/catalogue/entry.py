@@ -8,7 +8,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.effects.base import Effect, Scale, Values, effect_name, stages_of
+from invdyn.models.effects.base import Effect, Scale, Values, as_variant, effect_name, stages_of
 
 Numbers = Mapping[str, float]
 """An effect's parameters by their own names."""
@@ -40,12 +40,14 @@ class Variant:
         values: of parameters that the ideal law does not have.
         factors: on values of the ideal law.
         without: parameters of the previous variant that it does not have.
+        of: makes it of an effect that is one idealisation more ideal; None where that has no such variant.
     """
 
     words: Names
     values: Numbers = field(default_factory=dict)
     factors: Numbers = field(default_factory=dict)
     without: tuple[str, ...] = ()
+    of: Callable[[Effect], Effect | None] = as_variant
 
     def start(self, ideal: Numbers) -> dict[str, float]:
         """Values near the ``ideal`` law's, or the previous variant's."""
@@ -63,7 +65,7 @@ class CatalogueEntry:
         meaning: what it is, in half a sentence.
         shown_by: the recording that shows it and nothing like it.
         forms: what its other readings are, by :attr:`.Effect.forms`.
-        variants: non-ideal ones, in the order of :meth:`.Effect.nonideal`.
+        variants: non-ideal ones, each without one idealisation more than the one before (:meth:`Catalogue.nonideal`).
         needs: what a recording must have to show it, by form, "" for none: "torque" that is commanded, "command" of
             a torque or a servo's target, or the tracker's "confidence".
         per_recording: whether its parameters are those of one recording, as of a push; others need not confirm it.
@@ -116,12 +118,12 @@ class CatalogueEntry:
 
     def need_of(self, effect: Effect) -> str:
         """What a recording must have to show an instance; of one that changes a command, a commanded torque."""
-        commanded = effect.side == "dynamics" and "command" in stages_of(effect)
+        commanded = not effect.sensor and "command" in stages_of(effect)
         return self.needs.get(effect.form or "", "torque" if commanded else "")
 
     def of_motors(self, effect: Effect) -> bool:
         """Whether an instance acts on a command, and shows in nothing else."""
-        return effect.side == "dynamics" and self.need_of(effect) in ("torque", "command")
+        return not effect.sensor and self.need_of(effect) in ("torque", "command")
 
     def start(self, variant: Effect, ideal: Numbers) -> dict[str, float]:
         """Values from which a non-ideal ``variant`` is searched, near those of the law that is one less so."""
@@ -176,6 +178,11 @@ class Catalogue(Mapping[str, CatalogueEntry]):
     def of(self, effect: Effect) -> CatalogueEntry:
         """An effect's entry; a bare one where the catalogue does not have the effect."""
         return self._entries.get(effect.name) or CatalogueEntry(type(effect))
+
+    def nonideal(self, effect: Effect) -> Effect | None:
+        """The same effect at the same place, without one idealisation more; None if there is none."""
+        found = self.of(effect).variants[effect.variant : effect.variant + 1]
+        return found[0].of(effect) if found else None
 
 
 def _entry(name: str, given: Any) -> CatalogueEntry:

@@ -11,14 +11,16 @@ from invdyn.models.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
-from invdyn.models.effects.regularised_friction import CREEP, SETTLING
+from invdyn.models.effects.regularised_friction import CREEP, SETTLING, BristleFriction
 
 CREEPS = "regularised, it takes a moment to bring the joint to rest and lets it creep"
 SHORT = {"settling": SETTLING / 2, "creep": CREEP / 2}
 """s: short times, from which a search finds longer ones."""
 CREEPING = Variant({"settling": CREEPS}, SHORT)
 BRISTLES = Variant(
-    {"bristle_stiffness": "through bristles, it springs back by a little before it slips"}, without=tuple(SHORT)
+    {"bristle_stiffness": "through bristles, it springs back by a little before it slips"},
+    without=tuple(SHORT),
+    of=BristleFriction.in_place_of,
 )
 
 

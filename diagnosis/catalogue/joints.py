@@ -10,7 +10,7 @@ from invdyn.diagnosis.catalogue.entry import CatalogueEntry, Numbers, Variant
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.backlash import Backlash
 from invdyn.models.effects.base import STOPS, Effect, Scale, Values
-from invdyn.models.effects.joints import JointCoupling, JointLimit, JointStiffness, TorqueRipple
+from invdyn.models.effects.joints import JointCoupling, JointLimit, JointStiffness, TorqueRipple, regularised_stop
 from invdyn.models.effects.link_flexibility import HALF, LinkFlexibility
 
 Shown = dict[str, tuple[Tensor, str]]
@@ -138,6 +138,7 @@ ENTRIES = (
                 {"softness": "regularised, it gives way to any load that presses the joint into it"},
                 {"softness": FIXED.start_softness},
                 factors={"stiffness": FIXED.start_softness},
+                of=regularised_stop,
             ),
         ),
         credible=stops,

@@ -6,7 +6,7 @@
     narrower    its special case, where its own parameters allow that, from those known best
     similar     an effect that it may imitate (``CatalogueEntry.starts``), from several values
 
-Its non-ideal variants are the same effect (``Effect.nonideal``).
+Its non-ideal variants are the same effect (:meth:`.Catalogue.nonideal`).
 """
 
 import math

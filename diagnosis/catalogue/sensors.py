@@ -15,7 +15,7 @@ from invdyn.models.effects.sensors import (
     TimestampJitter,
     VaryingNoise,
 )
-from invdyn.models.effects.soft_tissue import DAMPING_RATIOS, SoftTissue
+from invdyn.models.effects.soft_tissue import DAMPING_RATIOS, SoftTissue, Wobble
 
 
 def bends(mine: Effect, link: Effect, values: Numbers, scale: Scale) -> list[Numbers]:
@@ -83,6 +83,7 @@ ENTRIES = (
             Variant(
                 {"damping_ratio": "a mass on a spring, it swings on by itself after its bone"},
                 {"damping_ratio": DAMPING_RATIOS[1]},
+                of=Wobble.in_place_of,
             ),
         ),
         starts={"link_flexibility": bends},

@@ -54,7 +54,7 @@ def add(found: HypothesisPool, base: FittedHypothesis) -> None:
     if not known and show_more(problem, found.best, prediction_errors(problem, found.best)):
         tried = {s.effect.key for s in refined}
         barred = [s for s in _seen(screened, problem.rules) if s.effect.key not in tried]
-        barred = [s for s in barred if _may_show(s, _nothing(screened), problem.rules)]
+        barred = [s for s in barred if _may_show(problem, s, _nothing(screened))]
         found.add_all([partial(_refined, problem, base, each, {}) for each in barred])
         follow_neighbours(found, number)
         least = -np.inf
@@ -109,9 +109,10 @@ def _seen(screened: Sequence[Screened], rules: Rules) -> list[Added]:
     return [s for s in added(screened) if not imitable(s.effect) and s.dprime > rules.evidence.min_dprime]
 
 
-def _may_show(s: Added, nothing: float, rules: Rules) -> bool:
+def _may_show(problem: DiagnosisProblem, s: Added, nothing: float) -> bool:
     """Whether an effect gains anything, or has a regularised form, which may where the ideal law explains nothing."""
-    return s.log_evidence > nothing + rules.search.screen_error or s.effect.nonideal() is not None
+    gains = s.log_evidence > nothing + problem.rules.search.screen_error
+    return gains or problem.catalogue.nonideal(s.effect) is not None
 
 
 def refine_best(found: HypothesisPool, base: FittedHypothesis, screened: Sequence[Screened], width: int) -> list[Added]:

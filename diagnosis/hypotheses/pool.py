@@ -163,7 +163,7 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     def shows(entry: CatalogueEntry, effect: Effect) -> bool:
         torque = commanded and not servos & set(effect.place or servos)
         given = {"": True, "command": commanded, "torque": torque, "confidence": confident}
-        return given[entry.need_of(effect)] and (effect.side == "dynamics" or read[effect.sensor])
+        return given[entry.need_of(effect)] and (not effect.sensor or read[effect.sensor])
 
     every = problem.catalogue.without(without).everywhere(body, tracked)
     return [effect for entry, effect in every if shows(entry, effect)]

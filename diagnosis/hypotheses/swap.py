@@ -68,7 +68,7 @@ def _rough(found: HypothesisPool, number: int) -> list[FittedHypothesis]:
     least, none = found.top - problem.rules.search.large_screen_error, found.pool[""].log_evidence
     if not found.explained:
         least = none + needed(found.top - none, explained=True, rules=problem.rules)
-    ideal = [c for c in _near(found, number, least) if any(effect.nonideal() is not None for effect in c.effects)]
+    ideal = [c for c in _near(found, number, least) if any(map(problem.catalogue.nonideal, c.effects))]
     rough = [c for c in ideal if not c.complete or show_more(problem, c, prediction_errors(problem, c))]
     return sorted(rough, key=lambda cause: -cause.log_evidence)
 
@@ -125,7 +125,7 @@ def _as_soft(
     if other.kind not in RELATED:
         return form, [dict(start) for start in other.starts]
     for _ in range(mine.variant):
-        form = form.nonideal() or form
+        form = problem.catalogue.nonideal(form) or form
     wanted = {p.name for p in form.parameters(problem.model.scale)}
     kept = {name: value for name, value in of_effect(mine, cause.values).items() if name in wanted}
     return form, [kept | dict(start) for start in other.starts]
@@ -139,7 +139,9 @@ def refine_regularised(found: HypothesisPool, cause: FittedHypothesis) -> None:
     problem = found.problem
     for mine in cause.effects:
         form, best = mine, cause
-        while form.nonideal() is not None and not _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
+        while problem.catalogue.nonideal(form) is not None:
+            if _followed(found, best, form, form, f" {form.key}{_softness(form)}"):
+                break
             refined = regularised(problem, best, form, **early_stop_limits(found, found.pool[""]))
             if refined is None:
                 break
@@ -153,7 +155,7 @@ def regularised(
     problem: DiagnosisProblem, cause: FittedHypothesis, mine: Effect, **limits: Any
 ) -> FittedHypothesis | None:
     """A cause with the regularised form of one of its effects, from its values and path; None where that has none."""
-    form = mine.nonideal()
+    form = problem.catalogue.nonideal(mine)
     if form is None:
         return None
     size = max(best_size(problem, cause), problem.rules.search.min_variant_size)

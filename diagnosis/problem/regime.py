@@ -100,4 +100,4 @@ def imitable(effect: Effect) -> bool:
     """Whether an unknown torque could do what an effect does: one that changes motion or time, and not what is seen."""
     stages = set(stages_of(effect))
     shown = effect.sensor == "encoders" or stages & {"points", "noise", "outlier", "mistiming"}
-    return not shown and (effect.side == "dynamics" or bool(stages))
+    return not shown and (not effect.sensor or bool(stages))

@@ -70,6 +70,7 @@ __all__ = [
     "effect_name",
     "quantiles",
     "rotated",
+    "side_of",
     "stages_of",
     "with_entry",
 ]
@@ -102,10 +103,8 @@ class Effect(ABC):
 
     name: str
     """Canonical: by default the class's name in snake case."""
-    side: ClassVar[str] = "dynamics"
-    """"dynamics" for what moves the arm, "observation" for what only sensors see."""
-    sensor: ClassVar[str] = "keypoints"
-    """Of one on the observation side, whose readings it changes: "keypoints", "encoders", or "any" sensor's."""
+    sensor: ClassVar[str] = ""
+    """Of what only sensors see, whose readings it changes: "keypoints", "encoders", or "any". "" moves the arm."""
     site: ClassVar[str] = "joint"
     """"joint", "link", "keypoint", "pair" (of joints), "keypoints" (a pair), "stop" (a joint and a side) or "arm"."""
     planar: ClassVar[bool] = False
@@ -120,10 +119,8 @@ class Effect(ABC):
 
     place: tuple[int, ...] = ()
     """Indices of ``where``, once bound to a body."""
-    variants: ClassVar[int] = 0
-    """How many non-ideal variants of the law the class itself has; see :meth:`nonideal`."""
     variant: int = 0
-    """0 for the ideal law, 1 and more for those variants, which have more parameters."""
+    """0 for the ideal law, 1 and more for non-ideal ones, which have more parameters; see :func:`as_variant`."""
 
     def __init_subclass__(cls) -> None:
         if "name" not in cls.__dict__:
@@ -199,17 +196,18 @@ class Effect(ABC):
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Priors and units, for a body of this scale; the effect is bound."""
 
-    def nonideal(self) -> "Effect | None":
-        """The same effect at the same place, without one idealisation more; None if there is none."""
-        return as_variant(self, self.variant + 1) if self.variant < self.variants else None
-
 
 def stages_of(effect: Effect | type[Effect]) -> tuple[str, ...]:
     """Stages that an effect changes; see the top of the file."""
     return tuple(stage for stage in STAGES if hasattr(effect, stage))
 
 
-def as_variant(effect: Effect, number: int) -> Effect:
+def side_of(effect: Effect | type[Effect]) -> str:
+    """Where an effect acts: "dynamics" for what moves the arm, "observation" for what only sensors see."""
+    return "observation" if effect.sensor else "dynamics"
+
+
+def as_variant(effect: Effect, number: int = 1) -> Effect:
     """The same effect in a non-ideal variant of its own class, by number."""
     other = copy.copy(effect)
     other.variant = number

@@ -28,8 +28,7 @@ class Optics(Effect):
     """
 
     planar = True
-    side, site, order = "observation", "arm", 2
-    variants = 1
+    sensor, site, order = "keypoints", "arm", 2
 
     @abstractmethod
     def about_origin(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -131,7 +130,7 @@ class RollingShutter(Effect):
     """
 
     planar = True
-    side, site, order = "observation", "arm", 1
+    sensor, site, order = "keypoints", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Time ρ per height, s/m."""
@@ -153,7 +152,7 @@ class CameraLatency(Effect):
     Only encoders distinguish it from motors that act late. Without commands, too, it has no effect at all.
     """
 
-    side, site = "observation", "arm"
+    sensor, site = "keypoints", "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Latency δ, s."""

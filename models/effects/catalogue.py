@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
-from invdyn.models.effects.base import Effect, effect_name
+from invdyn.models.effects.base import Effect, effect_name, side_of
 
 FAMILIES = ("camera", "disturbances", "friction", "inertia", "joints", "motors", "sensors")
 """Files with several effects; an effect's entry in ``diagnosis/catalogue`` is in the file of the same name."""
@@ -32,7 +32,7 @@ def gathered(folder: Path, package: str) -> dict[str, type[Effect]]:
             family = module.name in FAMILIES and kind.__module__ == path
             if family or name == module.name:
                 found[name] = kind
-    return dict(sorted(found.items(), key=lambda entry: (entry[1].side, entry[0])))
+    return dict(sorted(found.items(), key=lambda entry: (side_of(entry[1]), entry[0])))
 
 
 EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(gathered(Path(__file__).parent, __package__))

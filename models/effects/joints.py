@@ -86,8 +86,6 @@ class TorqueRipple(Effect):
     the variant has the second harmonic, a₂ sin 2Nθ + b₂ cos 2Nθ, too.
     """
 
-    variants = 1
-
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Parts a and b, N·m, and periods N a revolution, which the motor's build makes whole; a₂ and b₂."""
         typical = 0.05 * scale.effort[self.place[0]]
@@ -138,14 +136,6 @@ class JointLimit(Effect):
         super().__init__(joint, side)
         self.sign = 1.0 if side == "upper" else -1.0
 
-    def nonideal(self) -> Effect | None:
-        """A regularised stop, which acts after all other forces: it yields to their sum."""
-        if self.variant:
-            return None
-        other = as_variant(self, 1)
-        other.order = 3
-        return other
-
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Angle θ_lim, rad, anywhere on the circle; stiffness k, N·m/rad; damping d, N·m·s/rad."""
         j = self.place[0]
@@ -185,3 +175,10 @@ class JointLimit(Effect):
             )
             push = (free * entered + usual * push) / (mobility + usual * p["softness"])
         return now.at(j, -self.sign * push.clamp_min(0.0))
+
+
+def regularised_stop(effect: Effect) -> Effect:
+    """Of a stop its variant, which acts after all other forces: it yields to their sum."""
+    other = as_variant(effect)
+    other.order = 3
+    return other

@@ -36,7 +36,6 @@ class LinkFlexibility(HiddenHinge):
     """
 
     site = "link"
-    variants = 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Stiffness k, N·m/rad, and damping d, N·m·s/rad; in the variant the hinge's position π, a pure number."""

@@ -49,7 +49,7 @@ def check_tracked(effects: Sequence[Effect], tracked: Sequence[str]) -> None:
     """Raise ValueError for an effect on keypoints that are not among those ``tracked``."""
     for effect in effects:
         # a push needs no eye on the point that it acts on
-        unseen = set(effect.where) - {*tracked, effect.form} if effect.side == "observation" else None
+        unseen = set(effect.where) - {*tracked, effect.form} if effect.sensor else None
         if unseen and effect.site in ("keypoint", "keypoints"):
             raise ValueError(
                 f"{effect.name}: expected keypoints that are tracked, {', '.join(tracked) or 'none'}, "

@@ -58,6 +58,11 @@ class BristleFriction(Hidden):
     def __init__(self, of: Effect):
         self.of, self.name, self.where, self.form, self.place = of, of.name, of.where, of.form, of.place
 
+    @classmethod
+    def in_place_of(cls, regularised: Effect) -> Self:
+        """Of friction in its regularised form."""
+        return cls(as_variant(regularised, 0))
+
     def bound(self, body: ArticulatedBody) -> Self:
         """See :meth:`Effect.bound`."""
         return type(self)(self.of.bound(body))
@@ -117,10 +122,6 @@ class RegularisedFriction(Effect):
     max_substep: float = ABRUPT
     steady = False
     """Whether its level is the same at all speeds and loads."""
-
-    def nonideal(self) -> Effect | None:
-        """The ideal law regularised, and that through bristles."""
-        return BristleFriction(as_variant(self, 0)) if self.variant else as_variant(self, 1)
 
     @abstractmethod
     def levels(self, scale: Scale) -> tuple[Parameter, ...]:

@@ -33,7 +33,7 @@ class ClockRate(Effect):
     keep true time; both agree at the first row.
     """
 
-    side, site, sensor, order = "observation", "arm", "any", 1
+    site, sensor, order = "arm", "any", 1
     forms: ClassVar[tuple[str, ...]] = ("frames",)
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
@@ -58,7 +58,7 @@ class KeypointOffset(Effect):
     """
 
     planar = True
-    side, site = "observation", "keypoint"
+    sensor, site = "keypoints", "keypoint"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Offsets, m."""
@@ -77,7 +77,7 @@ class LabelSwap(Effect):
     Its symmetry distinguishes it from outliers.
     """
 
-    side, site = "observation", "keypoints"
+    sensor, site = "keypoints", "keypoints"
 
     @classmethod
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
@@ -100,7 +100,7 @@ class Outliers(Effect):
     The links' lengths, which jump too, distinguish it from a push.
     """
 
-    side, site = "observation", "arm"
+    sensor, site = "keypoints", "arm"
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Share ρ of detections, and width s, m."""
@@ -122,7 +122,7 @@ class TimestampJitter(Effect):
     motion only, equally for all keypoints, distinguish it from noise.
     """
 
-    side, site, order = "observation", "arm", 1
+    sensor, site, order = "keypoints", "arm", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Share ρ, and standard deviation s over all frames, s, of up to a frame."""
@@ -145,7 +145,7 @@ class EncoderOffset(OfServos):
     the first joint's from tilted gravity. About an axis along gravity nothing shows the first joint's.
     """
 
-    side, sensor, order = "observation", "encoders", 1
+    sensor, order = "encoders", 1
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Offset δ, rad: nine encoders in ten are within 3°; any may be off by more."""
@@ -169,7 +169,7 @@ class VaryingNoise(Effect):
     Only the variance changes: frames at rest distinguish it from process noise.
     """
 
-    side, site = "observation", "arm"
+    sensor, site = "keypoints", "arm"
     forms: ClassVar[tuple[str, ...]] = ("confidence", "joints")
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:

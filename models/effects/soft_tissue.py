@@ -8,7 +8,7 @@ all of it, for motion about as fast: the marker is at p + δ with
 from row to row in closed form, with p̈ a straight line in between, that of the cubic through p and ṗ at both ends.
 """
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import torch
 from pyro.distributions import HalfNormal, Normal, Uniform
@@ -31,16 +31,8 @@ class SoftTissue(Effect):
     """
 
     planar = True
-    side, site = "observation", "keypoint"
+    sensor, site = "keypoints", "keypoint"
     forms: ClassVar[tuple[str, ...]] = ("sliding",)
-
-    def nonideal(self) -> Effect | None:
-        """A mass on a spring; None for skin that slides."""
-        if self.form is not None:
-            return None
-        other = Wobble(*self.where)
-        other.name, other.place = self.name, self.place
-        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ, s²; sliding, a' and b', m/rad, and a and b, m."""
@@ -72,8 +64,17 @@ class Wobble(Follower):
 
     name = "soft_tissue"
     variant = 1
-    side, site = "observation", "keypoint"
+    sensor, site = "keypoints", "keypoint"
     states = 4
+
+    @classmethod
+    def in_place_of(cls, tissue: Effect) -> Self | None:
+        """Of soft tissue; None of skin that slides."""
+        if tissue.form is not None:
+            return None
+        other = cls(*tissue.where)
+        other.name, other.place = tissue.name, tissue.place
+        return other
 
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Compliance κ = 1/ω², s², and the damping ratio ζ, a pure number."""

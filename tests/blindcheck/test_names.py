@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from variants import nonideal
 
 from invdyn.blindcheck.effects import EFFECTS as INJECTED
 from invdyn.blindcheck.effects import OBSERVATIONS
@@ -34,7 +35,7 @@ def forms(effect):
     """The effect, its non-ideal form, the next one, and so on."""
     while effect is not None:
         yield effect
-        effect = effect.nonideal()
+        effect = nonideal(effect)
 
 
 def test_the_same_effects():
@@ -46,14 +47,14 @@ def test_names_units_side_and_place(name):
     kind = EFFECTS[name]
     # reality plays one form of each, the catalogue's first
     effect = [e for e in kind.everywhere(BODY, BODY.keypoint_names) if e.form is None][-1].bound(BODY)
-    ideal, *nonideal = (reported(form) for form in forms(effect))
+    ideal, *softer = (reported(form) for form in forms(effect))
     units = INJECTED[name].units
     # and of some a variant, whose parameters are those of the ideal one and more
     assert INJECTED[name].units == ideal or (
-        INJECTED[name].units in nonideal and ideal.items() < INJECTED[name].units.items()
+        INJECTED[name].units in softer and ideal.items() < INJECTED[name].units.items()
     )
     assert (units != ideal) == (name in ("stribeck_friction", "soft_tissue", "camera_yaw", "lens_distortion"))
-    assert (kind.side == "observation") == (name in OBSERVATIONS)
+    assert (bool(kind.sensor)) == (name in OBSERVATIONS)
     site = INJECTED[name].site
     assert {"pair": "joint", "keypoints": "keypoint", "stop": "joint"}.get(kind.site, kind.site) == site
     place = None if site == "arm" else 2

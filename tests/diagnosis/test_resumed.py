@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from pendulum import DAMPING, PENDULUM, recorded
+from variants import nonideal
 
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.kept_units import content_digest, kept_unit
@@ -185,7 +186,7 @@ def test_content_is_what_the_numbers_are():
     friction = EFFECTS["coulomb_friction"]("pivot")
     assert content_digest([1.0, {"a": 2.0}]) == content_digest([np.float64(1.0), {"a": np.float64(2.0)}])
     assert content_digest(np.arange(6.0).reshape(2, 3).T) == content_digest(np.arange(6.0).reshape(2, 3).T.copy())
-    others = [1.0, 1, -0.0, 0.0, None, "1", [1.0], np.array([1.0]), np.array([[1.0]]), friction, friction.nonideal()]
+    others = [1.0, 1, -0.0, 0.0, None, "1", [1.0], np.array([1.0]), np.array([[1.0]]), friction, nonideal(friction)]
     assert len({content_digest(each) for each in others}) == len(others)
     with pytest.raises(TypeError, match="expected numbers, names and effects, got object"):
         content_digest(object())

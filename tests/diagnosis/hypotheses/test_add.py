@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
+from variants import nonideal
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.hypotheses.add import add, refine_best
@@ -190,7 +191,7 @@ def test_what_needs_implausible_values_is_refined_in_its_variant(monkeypatch, pl
         if more:
             _, values, size = tried[effect.name][1]
             ideal = {p.name: 0.3 for p in effect.parameters(bound.model.scale)}
-            expected = CATALOGUE.of(effect).start(effect.nonideal(), ideal)
+            expected = CATALOGUE.of(effect).start(nonideal(effect), ideal)
             assert values == {f"{effect.key}.{name}": value for name, value in expected.items()}
             assert list(expected) == [*ideal, *more]
             assert size >= DEFAULT.search.min_variant_size

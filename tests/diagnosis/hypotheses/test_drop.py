@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from pendulum import LOOSE, PENDULUM, driven
+from variants import nonideal
 
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
@@ -37,7 +38,7 @@ def test_the_variant_of_one_takes_the_place_of_two(monkeypatch):
     none = refine(bound, (), {}, path, LOOSE, rounds=1)
     by_name = {effect.name: effect for effect in considered(bound)}
     friction, other = by_name["coulomb_friction"], by_name["armature"]
-    soft = friction.nonideal()
+    soft = nonideal(friction)
     gains = {(friction,): 90.0, (friction, other): 100.0, (other,): 0.0, (soft,): 95.0}
     causes = {
         effects: replace(none, effects=effects, log_evidence=none.log_evidence + gain)

@@ -26,6 +26,7 @@ from pendulum import (
 )
 from scipy.integrate import quad
 from scipy.stats import halfnorm
+from variants import nonideal
 
 from invdyn.diagnosis.assessment.confirm import confirm
 from invdyn.diagnosis.assessment.findings import finding, tempered_covariance
@@ -317,7 +318,7 @@ def test_a_path_gets_and_loses_a_hidden_hinge():
     assert not path[:, 1:3].any()
     assert torch.equal(lifted(here.model, path), none.path)
     assert lifted(here.model, none.path) is none.path
-    wobble = here.model.with_effects(EFFECTS["soft_tissue"]("tip").nonideal())
+    wobble = here.model.with_effects(nonideal(EFFECTS["soft_tissue"]("tip")))
     swung = lifted(wobble, path + 1.0)
     assert swung.shape[-1] == here.model.state_dim + 4
     assert not swung[:, 1:5].any()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from pendulum import ARM, LOOSE, PENDULUM, recording_of
+from variants import nonideal
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.neighbours import Neighbour
@@ -194,7 +195,7 @@ def test_neighbours_of_what_a_neighbour_found_are_followed(monkeypatch):
 def test_what_ideal_friction_leaves_is_followed_by_its_variant(monkeypatch):
     """Under the same key, the better one stays; where the ideal one leaves nothing, it is not looked for."""
     ideal = EFFECTS["coulomb_friction"]("pivot")
-    soft, given = ideal.nonideal(), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
+    soft, given = nonideal(ideal), {"torque": 0.1, "settling": 0.033, "creep": 0.003}
     bound = diagnosis_problem(recording_of(soft, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
@@ -241,7 +242,7 @@ def test_variants_are_for_the_best_few_that_have_one(monkeypatch, number, gains,
     def cause(gain, *effects):
         return replace(none, effects=effects, log_evidence=none.log_evidence + gain, by_size=left)
 
-    rigid, soft = ([e for e in considered(bound) if (e.nonideal() is None) is hard] for hard in (True, False))
+    rigid, soft = ([e for e in considered(bound) if (nonideal(e) is None) is hard] for hard in (True, False))
     causes = [cause(gain, *soft[i : i + number]) for i, gain in enumerate(gains)]
     stiff = cause(max(gains), *rigid[:number])
     follow_neighbours(HypothesisPool(bound, [], {c.key: c for c in (none, stiff, *causes)}, [], path, stray), number)
@@ -271,7 +272,7 @@ def test_errors_that_are_alike_ask_for_a_variant_too(monkeypatch, alike):
 @pytest.mark.long
 def test_a_relative_of_a_variant_is_as_soft(monkeypatch):
     """The ideal one would leave what the variant was found for, and never come near."""
-    truth, wide = (EFFECTS[name]("pivot").nonideal() for name in ("coulomb_friction", "stribeck_friction"))
+    truth, wide = (nonideal(EFFECTS[name]("pivot")) for name in ("coulomb_friction", "stribeck_friction"))
     given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
     bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
@@ -299,7 +300,7 @@ def test_a_relative_of_a_variant_is_as_soft(monkeypatch):
 def test_what_a_friction_that_creeps_leaves_is_followed_by_one_with_bristles(name, levels):
     ideal = EFFECTS[name]("pivot")
     given = {**levels, "bristle_stiffness": 60.0, "bristle_damping": 0.3}
-    bound = diagnosis_problem(recording_of(ideal.nonideal().nonideal(), rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(nonideal(nonideal(ideal)), rows=200, **given), PENDULUM)
     path, stray = data_path(bound)
     none, hard = (refine(bound, effects, {}, path, LOOSE) for effects in ((), (ideal,)))
     own = [effect for effect in considered(bound) if effect.key == ideal.key]

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from reported import diagnosis, two
+from variants import nonideal
 
 from invdyn.diagnosis.assessment.result import Estimate, Finding
 from invdyn.diagnosis.catalogue import CATALOGUE
@@ -19,6 +20,7 @@ from invdyn.diagnosis.report.numbers import (
     plus_minus,
 )
 from invdyn.models import Link, planar_body, planar_dynamics
+from invdyn.models.effects.base import side_of
 from invdyn.models.effects.scale import Scale
 
 
@@ -63,12 +65,12 @@ def test_a_variant_is_said_to_be_one():
     scale = Scale(planar_dynamics(arm.num_joints), arm.parameters(), torch.arange(9.0))
     for entry in CATALOGUE.values():
         ideal = entry.effect.everywhere(arm, arm.keypoint_names)[0].bound(arm)
-        for effect in (ideal, ideal.nonideal()):
+        for effect in (ideal, nonideal(ideal)):
             if effect is not None:
                 ones = {p.name: (torch.ones(1), p.unit) for p in effect.parameters(scale)}
                 shown = entry.reported(effect, {name: one for name, (one, _) in ones.items()}) or ones
                 named = {name: Estimate(1.0, 0.1, (0.9, 1.1), unit) for name, (_, unit) in shown.items()}
-                told = words.meaning(Finding(effect.name, effect.side, {}, named))
+                told = words.meaning(Finding(effect.name, side_of(effect), {}, named))
                 assert any(each in told for each in entry.variant_words.values()) == bool(effect.variant)
     assert words.meaning(Finding("my_own", "dynamics", {}, {})) is None
 

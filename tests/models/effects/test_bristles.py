@@ -5,6 +5,7 @@ import pytest
 import torch
 from rod import F64, INERTIA, rod, rolled
 from scipy.integrate import solve_ivp
+from variants import nonideal
 
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, LoadFriction, StribeckFriction, ViscousFriction
 from invdyn.models.effects.regularised_friction import BristleFriction
@@ -120,10 +121,10 @@ def test_acceleration_knows_how_far_they_are_bent(arm, having, states):
 
 
 def test_it_stands_under_the_frictions_own_name(arm):
-    soft = CoulombFriction("joint1").nonideal()
-    bristles = soft.nonideal()
+    soft = nonideal(CoulombFriction("joint1"))
+    bristles = nonideal(soft)
     assert isinstance(bristles, BristleFriction)
-    assert (bristles.key, bristles.nonideal(), bristles.variant) == (soft.key, None, 2)
+    assert (bristles.key, nonideal(bristles), bristles.variant) == (soft.key, None, 2)
     model = arm(2)
     names = [p.name for p in bristles.bound(model.body).parameters(model.scale)]
     assert names == ["torque", "bristle_stiffness", "bristle_damping"]

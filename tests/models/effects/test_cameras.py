@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import multivariate_normal
+from variants import nonideal
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.models import Keypoints, Observation
@@ -108,7 +109,7 @@ def test_optics_about_any_centre(kind, values, arm, having, states):
     centre = np.array([0.1, -0.25])
     ideal = arm(2)
     x = states(ideal, 6)
-    soft = kind().nonideal()
+    soft = nonideal(kind())
     found, _ = tips(having(ideal, soft, **values, centre_x=centre[0], centre_y=centre[1]), x)
     moved = ideal.replace(**{"body.base": ideal.parameters["body.base"] - torch.as_tensor(centre)})
     expected, _ = tips(having(moved, kind(), **values), x)

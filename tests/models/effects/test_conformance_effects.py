@@ -8,6 +8,7 @@ import pyro.distributions as dist
 import pytest
 import torch
 from pyro import poutine
+from variants import nonideal
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.inference import Bootstrap, ParticleFilter
@@ -50,7 +51,7 @@ def at_all_places(name, model):
     if EFFECTS[plain].forms:
         found = [effect for effect in found if effect.form == (form[:-1] if form.endswith(":") else None)]
     for _ in range(form.count("nonideal")):
-        found = [effect.nonideal() for effect in found]
+        found = [nonideal(effect) for effect in found]
     several = EFFECTS[plain].site in ("pair", "keypoints") or form == "joints:"
     assert found or (several and model.body.num_joints == 1)
     return found
@@ -74,7 +75,7 @@ def drawn(model, seed=0, count=None):
 def test_names_units_and_priors(name, arm):
     kind = EFFECTS[name.rpartition(" ")[2]]
     assert effect_name(kind) == name.rpartition(" ")[2]
-    assert kind.side in ("dynamics", "observation")
+    assert kind.sensor in ("", "keypoints", "encoders", "any")
     for joints in (1, 2, 3):
         for size, weight in ((1.0, 1.0), (0.05, 1e-3), (4.0, 40.0)):
             model = arm(joints, size=size, weight=weight)
@@ -144,7 +145,7 @@ def test_places_are_checked(name, arm):
     if kind.site in ("pair", "keypoints"):
         with pytest.raises(ValueError, match="two different"):
             model.with_effects(kind(effect.where[0], effect.where[0]))
-    if kind.site in ("keypoint", "keypoints") and kind.side == "observation":
+    if kind.site in ("keypoint", "keypoints") and kind.sensor:
         blind = arm(3, observation=Observation(Encoders()))
         with pytest.raises(ValueError, match="tracked"):
             blind.with_effects(effect)

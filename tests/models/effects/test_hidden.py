@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from rod import F64, rod
+from variants import nonideal
 
 from invdyn.models import ArmModel, Encoders, Keypoints, Link, Observation, planar_body, planar_dynamics
 from invdyn.models.effects import Backlash, BaseMotion, ExternalPush, JointStiffness, LinkFlexibility
@@ -44,7 +45,7 @@ def test_the_parts_are_the_link(link, position, arm, having, states):
 
 def test_a_rod_that_bends_anywhere_is_two_rods():
     body = rod(2, STEP).body_parameters()
-    parts = LinkFlexibility("link").nonideal().bound(rod(2, STEP).body).chain({"position": torch.tensor([0.3])}, body)
+    parts = nonideal(LinkFlexibility("link")).bound(rod(2, STEP).body).chain({"position": torch.tensor([0.3])}, body)
     length, mass = body.length.item() * np.array([0.3, 0.7]), body.mass.item() * np.array([0.3, 0.7])
     assert parts.length.numpy() == pytest.approx(length)
     assert parts.mass.numpy() == pytest.approx(mass)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from rod import F64, INERTIA, driven, rod, rolled, torque_of
 from scipy.integrate import solve_ivp
+from variants import nonideal
 
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.rules import DEFAULT
@@ -46,7 +47,7 @@ def in_mujoco(joint, q, qd, rows=100, step=0.01, gravity=-9.81):
 def test_a_share_of_the_coriolis_torque_loads_a_gear(share, arm, states, having):
     """All of it in the ideal form; with none of it gravity and the motor alone."""
     ideal = arm(2)
-    effect = LoadFriction("joint0").nonideal()
+    effect = nonideal(LoadFriction("joint0"))
     model = having(ideal, effect, coefficient=0.2, settling=0.0, creep=0.0, coriolis_share=share)
     _, q, qd = ideal.split(states(ideal, 50))
     qd = qd + qd.sign()  # fast enough not to stop within the sub-step
@@ -67,7 +68,7 @@ def test_a_rod_settles_and_turns_around_within_a_step(settling, creep, step, hav
     command = torch.full((int(0.8 / step) + 2, 1), push, dtype=F64)
     model = rod(rows=len(command), step=step, command=command)
     values = {"torque": level, "settling": settling, "creep": creep}
-    q, qd = rolled(having(model, CoulombFriction("hinge").nonideal(), **values), [0.0], [6.0])
+    q, qd = rolled(having(model, nonideal(CoulombFriction("hinge")), **values), [0.0], [6.0])
     if settling == 0.0:  # at once, as the ideal law has it
         exact = rolled(having(model, CoulombFriction("hinge"), torque=level), [0.0], [6.0])
     else:
@@ -90,14 +91,14 @@ def test_a_rod_that_friction_holds_creeps(creep, having):
     time, command = 0.01 * np.arange(30), torch.full((30, 1), 0.1, dtype=F64)
     model = rod(rows=30, step=0.01, command=command)
     values = {"torque": 2.0, "settling": 0.02, "creep": creep}
-    _, qd = rolled(having(model, CoulombFriction("hinge").nonideal(), **values), [0.0], [0.5])
+    _, qd = rolled(having(model, nonideal(CoulombFriction("hinge")), **values), [0.0], [0.5])
     slow = 0.1 / INERTIA * creep
     assert qd[:, 0] == pytest.approx(slow + (0.5 - slow) * np.exp(-time / 0.02), abs=1e-12)
 
 
 @pytest.mark.long
 def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
-    ends, kinds = {}, [CoulombFriction(f"joint{k}").nonideal() for k in range(2)]
+    ends, kinds = {}, [nonideal(CoulombFriction(f"joint{k}")) for k in range(2)]
     command = np.tile([0.5, -0.2], (41, 1))
     model = arm(2, rows=41, command=command).with_effects(*kinds)
     values = {"torque": 0.4, "settling": 0.01, "creep": 0.001}
@@ -119,7 +120,7 @@ def test_mujocos_default_friction_is_the_regularised_one(level, having):
     theirs = in_mujoco(f'frictionloss="{level}"', 0.5, 0.0, rows=300)
     ideal = rod(rows=300, step=0.01, gravity=(0.0, -9.81))
     mine, _ = rolled(having(ideal, CoulombFriction("hinge"), torque=level), [0.5], [0.0])
-    soft, _ = rolled(having(ideal, CoulombFriction("hinge").nonideal(), torque=level, **RUBBING), [0.5], [0.0])
+    soft, _ = rolled(having(ideal, nonideal(CoulombFriction("hinge")), torque=level, **RUBBING), [0.5], [0.0])
     far, near = (np.abs(q[:, 0] - theirs).max() for q in (mine, soft))
     assert near < 1e-3
     assert near < far / 30
@@ -130,7 +131,7 @@ def test_mujocos_default_stop_is_the_regularised_one(having):
     """A rod falls onto it: within 1.5 mrad, which no spring and damper come to."""
     theirs = in_mujoco('range="-9 0.1" limited="true"', -0.6, 2.0, gravity=9.81)
     base = rod(rows=100, step=0.01, gravity=(0.0, 9.81))
-    q, _ = rolled(having(base, JointLimit("hinge").nonideal(), angle=0.1, **STOP), [-0.6], [2.0])
+    q, _ = rolled(having(base, nonideal(JointLimit("hinge")), angle=0.1, **STOP), [-0.6], [2.0])
     assert theirs.max() > 0.15
     assert q[:, 0] == pytest.approx(theirs, abs=1.5e-3)
     for stiffness in (50.0, 100.0, 200.0, 400.0, 1600.0):
@@ -148,8 +149,8 @@ def test_a_steady_torque_presses_a_regularised_stop_in_by_its_softness(side, sig
     model, stop = rod(rows=301, command=command), JointLimit("hinge", side)
     given = {"angle": sign * 0.5, "stiffness": 40.0, "damping": 2.0}
     for effect, values, depth in (
-        (stop.nonideal(), {**given, "softness": 0.1}, 0.1 * 2.0 / 40.0),
-        (stop.nonideal(), CATALOGUE.of(stop).start(stop.nonideal(), given), 2.0 / 40.0),
+        (nonideal(stop), {**given, "softness": 0.1}, 0.1 * 2.0 / 40.0),
+        (nonideal(stop), CATALOGUE.of(stop).start(nonideal(stop), given), 2.0 / 40.0),
         (stop, given, 2.0 / 40.0),
     ):
         q, _ = rolled(having(model, effect, **values), [0.0], [0.0])
@@ -158,7 +159,7 @@ def test_a_steady_torque_presses_a_regularised_stop_in_by_its_softness(side, sig
 
 def test_a_regularised_stop_yields_to_any_load(having):
     """A spring as a command does."""
-    effects = (JointLimit("hinge").nonideal(), JointStiffness("hinge"))
+    effects = (nonideal(JointLimit("hinge")), JointStiffness("hinge"))
     model = rod(rows=301, command=torch.zeros(301, 1, dtype=F64)).with_effects(*effects)
     given = {effects[0].key: {"angle": 0.5, **STOP}, effects[1].key: {"stiffness": 4.0, "torque": 4.0}}
     named = {f"effect.{key}.{name}": value for key, values in given.items() for name, value in values.items()}
@@ -175,7 +176,7 @@ def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
     body = planar_body("rod", [Link("link", "hinge", "tip", length=length, mass=1.5)], gravity=gravity)
     model = ArmModel(body, 0.01 * np.arange(9), Observation(Keypoints([0])), command=np.full((9, 1), 0.3 * length))
     (inertia,) = model.scale.inertia
-    priors = {p.name: p.prior for p in JointLimit("hinge").nonideal().bound(body).parameters(model.scale)}
+    priors = {p.name: p.prior for p in nonideal(JointLimit("hinge")).bound(body).parameters(model.scale)}
     for name, value in STOP.items():
         value *= inertia / INERTIA if name != "softness" else 1.0
         assert value < DEFAULT.residual.max_prior_sds / 2 * priors[name].scale
@@ -184,7 +185,7 @@ def test_mujocos_default_stop_is_plausible_at_every_size(length, gravity):
 def test_a_ripple_that_is_no_pure_sine(having):
     """Its second harmonic, by the amplitude and phase that are reported."""
     values = {"sine": 0.3, "cosine": -0.2, "periods": 7.0, "second_sine": 0.05, "second_cosine": 0.12}
-    effect, ideal = TorqueRipple("hinge").nonideal(), rod()
+    effect, ideal = nonideal(TorqueRipple("hinge")), rod()
     told = CATALOGUE.of(effect).reported(effect, {name: torch.tensor([value]) for name, value in values.items()})
     A, phase, N, second, second_phase = (value.item() for value, _ in told.values())
     q = torch.linspace(-2.0, 2.0, 50, dtype=F64)
@@ -203,14 +204,14 @@ def test_a_variant_is_the_same_effect_with_more_parameters(name, arm):
     model = arm(2)
     every = EFFECTS[name].everywhere(model.body, model.body.keypoint_names)
     ideal = next(effect for effect in reversed(every) if effect.form is None).bound(model.body)
-    soft = ideal.nonideal()
-    nonideal = ["coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "link_flexibility"]
-    nonideal += ["torque_ripple", "soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
-    assert (soft is not None) == (name in nonideal)
+    soft = nonideal(ideal)
+    having = ["coulomb_friction", "stribeck_friction", "load_friction", "joint_limit", "link_flexibility"]
+    having += ["torque_ripple", "soft_tissue", "camera_scale", "camera_roll", "camera_yaw", "lens_distortion"]
+    assert (soft is not None) == (name in having)
     if soft is None:
         return
     assert (soft.key, soft.place, soft.variant) == (ideal.key, ideal.place, ideal.variant + 1)
-    assert (soft.nonideal() is not None) == name.endswith(("coulomb_friction", "stribeck_friction", "load_friction"))
+    assert (nonideal(soft) is not None) == name.endswith(("coulomb_friction", "stribeck_friction", "load_friction"))
     mine, more = (e.parameters(model.scale) for e in (ideal, soft))
     assert [p.name for p in more[: len(mine)]] == [p.name for p in mine]
     start = CATALOGUE[name].start(soft, {p.name: 1.0 for p in mine})
@@ -219,7 +220,7 @@ def test_a_variant_is_the_same_effect_with_more_parameters(name, arm):
 
 def test_one_joint_settles_with_the_longer_of_two_times(arm, states):
     """Two soft frictions at one joint are one, of the sum of their levels."""
-    kinds = [EFFECTS[name]("joint1").nonideal() for name in ("coulomb_friction", "stribeck_friction")]
+    kinds = [nonideal(EFFECTS[name]("joint1")) for name in ("coulomb_friction", "stribeck_friction")]
     model = arm(2).with_effects(ViscousFriction("joint0"), *kinds)
     one = arm(2).with_effects(kinds[0])
     given = {"coulomb": 0.2, "static": 0.2, "velocity": 1.0}

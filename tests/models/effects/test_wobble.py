@@ -5,6 +5,7 @@ import pytest
 import torch
 from rod import F64, rod
 from scipy.integrate import solve_ivp
+from variants import nonideal
 
 from invdyn.models import ArmModel, Keypoints, Observation
 from invdyn.models.effects import CoulombFriction, LinkFlexibility, SoftTissue
@@ -34,7 +35,7 @@ def swinging(time, rate, size=0.6):
 @pytest.mark.parametrize("ratio", [0.05, 0.5, 0.95])
 def test_it_is_a_mass_on_a_spring(ratio, having):
     kappa, hidden = 1.7e-3, [0.004, -0.002, 0.05, 0.1]
-    model = having(rod(rows=301), SoftTissue("tip").nonideal(), kappa=kappa, damping_ratio=ratio)
+    model = having(rod(rows=301), nonideal(SoftTissue("tip")), kappa=kappa, damping_ratio=ratio)
     time = model.time.numpy()
 
     def rate(t, x):
@@ -51,9 +52,9 @@ def test_rows_twice_as_far_apart_err_sixteen_times_as_much(having):
     errors = []
     for step in (0.02, 0.01):
         model = having(
-            rod(rows=int(1.2 / step) + 1, step=step), SoftTissue("tip").nonideal(), kappa=2e-3, damping_ratio=0.3
+            rod(rows=int(1.2 / step) + 1, step=step), nonideal(SoftTissue("tip")), kappa=2e-3, damping_ratio=0.3
         )
-        fine = having(rod(rows=2401, step=5e-4), SoftTissue("tip").nonideal(), kappa=2e-3, damping_ratio=0.3)
+        fine = having(rod(rows=2401, step=5e-4), nonideal(SoftTissue("tip")), kappa=2e-3, damping_ratio=0.3)
         coarse, exact = (along(m, *swinging(m.time.numpy(), 9.0)[:2], [0.0] * 4) for m in (model, fine))
         errors.append(np.abs(coarse - exact[:: round(step / 5e-4)])[:, :2].max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
@@ -62,7 +63,7 @@ def test_rows_twice_as_far_apart_err_sixteen_times_as_much(having):
 def test_slow_motion_leaves_the_lag(having):
     """To first order in how much slower it is."""
     kappa, rate = 1e-4, 5.0
-    model = having(rod(rows=401), SoftTissue("tip").nonideal(), kappa=kappa, damping_ratio=0.6)
+    model = having(rod(rows=401), nonideal(SoftTissue("tip")), kappa=kappa, damping_ratio=0.6)
     time = model.time.numpy()
     q, qd, a = swinging(time, rate)
     found = along(model, q, qd, [0.0] * 4)[100:, :2]
@@ -72,7 +73,7 @@ def test_slow_motion_leaves_the_lag(having):
 
 def test_the_camera_sees_it_and_the_arm_does_not_feel_it(arm, having, states):
     ideal = arm(2)
-    model = having(ideal, SoftTissue("tip0").nonideal(), kappa=1e-3, damping_ratio=0.3)
+    model = having(ideal, nonideal(SoftTissue("tip0")), kappa=1e-3, damping_ratio=0.3)
     assert isinstance(model, ArmModel)
     assert model.state_dim == ideal.state_dim + 4
     x = states(model, 6)
@@ -94,7 +95,7 @@ def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, havi
     command = np.stack([0.5 * np.sin(9 * step * np.arange(rows)), np.zeros(rows)], -1)
     plain = ArmModel(body, step * np.arange(rows), Observation(Keypoints([0, 1])), command=command)
     bending = having(plain, bends, stiffness=8.0, damping=0.0)
-    both = having(bending, SoftTissue(f"tip{tip}").nonideal(), kappa=kappa, damping_ratio=0.7)
+    both = having(bending, nonideal(SoftTissue(f"tip{tip}")), kappa=kappa, damping_ratio=0.7)
     x, y = torch.zeros(bending.state_dim, dtype=F64), torch.zeros(both.state_dim, dtype=F64)
     tips, straight, swung = [], [], []
     for t in range(rows):
@@ -111,9 +112,9 @@ def test_tissue_on_a_link_that_bends_is_thrown_by_the_bending_too(tip, arm, havi
 
 
 def test_it_goes_with_dry_friction_and_other_tissue_through_bristles_too(arm):
-    wobbles = [SoftTissue(tip).nonideal() for tip in ("tip1", "tip0")]
+    wobbles = [nonideal(SoftTissue(tip)) for tip in ("tip1", "tip0")]
     assert arm(2).with_effects(wobbles[0], CoulombFriction("joint0")).state_dim == 10
-    bristles = CoulombFriction("joint0").nonideal().nonideal()
+    bristles = nonideal(nonideal(CoulombFriction("joint0")))
     model = arm(2).with_effects(*wobbles, bristles)
     assert model.state_dim == 15
     assert [(each.key, each.states) for each in model.effects.hidden] == [
@@ -121,4 +122,4 @@ def test_it_goes_with_dry_friction_and_other_tissue_through_bristles_too(arm):
         ("soft_tissue.tip0", 4),
         ("soft_tissue.tip1", 4),
     ]
-    assert SoftTissue("tip0", "sliding").nonideal() is None
+    assert nonideal(SoftTissue("tip0", "sliding")) is None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import least_squares
+from variants import nonideal
 
 from invdyn.models import ArmModel, Body, Encoders, Keypoints, Link, Observation, planar_body
 from invdyn.models.bodies.joints import Joint
@@ -31,7 +32,7 @@ def forms(kind, body):
     for effect in kind.everywhere(body, body.keypoint_names):
         while effect is not None:
             yield effect
-            effect = effect.nonideal()
+            effect = nonideal(effect)
 
 
 def drawn(model):
