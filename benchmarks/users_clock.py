@@ -25,7 +25,7 @@ COMMANDS = {
     "plot": ("plot", "swing.nc", "--out", "swing.png"),
     "view": ("view", "swing.nc", "--out", "swing.html"),
     "compare, 60 frames": (
-        *("compare", "swing.csv", *ARM, "--truth", "truth.csv", "--methods", "laplace,svi"),
+        *("compare", "swing.csv", *ARM, "--set", "truth=truth.csv", "--methods", "laplace,svi"),
         *("--frames", "0:60", "--out", "compared"),
     ),
     "simulate a log of 3 s": (

@@ -249,7 +249,7 @@ def _check_regimes(bound: DiagnosisProblem, other: DiagnosisProblem | None) -> N
     raise InputError(
         f"{other.problem.recording.name}: expected a held-out recording with torques "
         f"{'in it' if bound.regime.knows_torque else 'that are unknown'}, as {bound.problem.recording.name} "
-        f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --hide-torque"
+        f"has, got {other.regime.phrase}: give both with torques, or hide those of both: --set hide_torque=yes"
     )
 
 

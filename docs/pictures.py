@@ -39,8 +39,8 @@ def demo(folder: str) -> None:
 def compare(folder: str) -> None:
     """Compare three methods as README.md does, and keep the figure."""
     invdyn = [sys.executable, "-W", "ignore", "-m", "invdyn"]
-    files = [f"{folder}/rec.csv", "--body", "paper_planar_arm", "--truth", f"{folder}/truth.csv"]
-    made = ["--body", "paper_planar_arm", "--out", files[0], "--truth", files[-1]]
+    files = [f"{folder}/rec.csv", "--body", "paper_planar_arm", "--set", f"truth={folder}/truth.csv"]
+    made = ["--body", "paper_planar_arm", "--out", files[0], "--truth", f"{folder}/truth.csv"]
     subprocess.run([*invdyn, "simulate", *made], check=True)
     chosen = ["--methods", "smc,laplace,svi", "--frames", "0:60", "--out", f"{folder}/comparison"]
     subprocess.run([*invdyn, "compare", *files, *chosen], check=True)

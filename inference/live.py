@@ -138,7 +138,7 @@ class LiveArm:
         if missing := [name for name, value in zip(self.commands, command, strict=True) if math.isnan(value)]:
             raise InputError(
                 f"expected {', '.join(missing)} from the first row on, as the calibration has commands, got none: "
-                "send it, or hide the commands (--hide-torque)"
+                "send it, or hide the commands (--set hide_torque=yes)"
             )
         self._first = time if self._first is None else self._first
         step = round((time - self._first) * self.fps)

@@ -109,7 +109,7 @@ def triangulate(
     calibration = calibration or []
     offsets = dict(map(camera_offset, offset or ()))
     if offsets and find is not None:
-        raise InputError("--offset states what --find-offsets looks for: choose one")
+        raise InputError("--set offset states what --find-offsets looks for: choose one")
     lengths = [_length(text, body) for text in length or ()]
     cameras = read_calibration(calibration, unit)
     files = match_names(tracks, cameras.names)
@@ -174,7 +174,7 @@ def _report(scene: Any, offsets: dict[str, float], clocks: dict[str, Any]) -> No
         if not clock.significant:
             say(
                 f"times of {name} are taken as they are: {clock.seconds:+.4f} ± {clock.sd:.4f} s fit best, which "
-                "may not be a clock, as a tracker's lasting errors look the same; --offset states a known one"
+                "may not be a clock, as a tracker's lasting errors look the same; --set offset states a known one"
             )
     if scene.factor != 1:
         say(f"the calibration's lengths were multiplied by {scene.factor:.6g} to be metres")

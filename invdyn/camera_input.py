@@ -82,7 +82,7 @@ def _check_points(recording: Filmed, body: Body) -> None:
     except InputError as error:
         raise InputError(
             f"{recording.name}: {error} (of points triangulated from the cameras, in the calibration's frame and "
-            "unit: --units, --scale and --base are not of these)"
+            "unit: --units, --scale and --set base are not of these)"
         ) from None
 
 

@@ -95,7 +95,7 @@ class Diagnosed(Recorded):
                 )
         if self.zero_torque and self.hide_torque:
             raise InputError(
-                "--zero-torque says that torques are zero, --hide-torque that they are unknown: choose one"
+                "--zero-torque says that torques are zero, --set hide_torque=yes that they are unknown: choose one"
             )
         if self.clock is not None and self.camera is None:
             raise InputError("clock is of a camera that filmed a log's robot: name its keypoints with --camera")

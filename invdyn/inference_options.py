@@ -30,9 +30,7 @@ CAMERAS = ("offset", "pose", "turn")
 class Inference(Recorded):
     """What `infer` and `compare` are given: a recording, a body, the model that joins them, sizes of samplers."""
 
-    truth: Annotated[str | None, typer.Option(help="Torques to compare with: .csv, or a known recording's name.")] = (
-        None
-    )
+    truth: Annotated[str | None, Setting("torques to compare with: .csv, or a known recording's name")] = None
     learn: Annotated[
         list[str] | None,
         typer.Option(
@@ -50,9 +48,9 @@ class Inference(Recorded):
     ] = AUTO
     noise: Annotated[
         str | None,
-        typer.Option(
-            help="Observation noise: gaussian, student_t of each number, or multivariate_t of each "
-            "keypoint; default: gaussian, and student_t for pixels."
+        Setting(
+            "of an observation: gaussian, student_t of each number, or multivariate_t of each keypoint; "
+            "default: gaussian, and student_t for pixels"
         ),
     ] = None
     forces: Annotated[
@@ -60,7 +58,7 @@ class Inference(Recorded):
     ] = None
     filters: Filters = 64
     particles: Particles = 100
-    draws: Annotated[int, typer.Option(min=1, help="Trajectories drawn from each filter.")] = 4
+    draws: Annotated[int, Setting("trajectories drawn from each filter; default: 4", int, least=1)] = 4
     seed: Seed = 0
     workers: Workers = None
     device: Device = "cpu"

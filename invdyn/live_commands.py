@@ -12,7 +12,7 @@ from typing import IO, Annotated, Any
 import typer
 
 from .console import ProgressBar, print_line
-from .options import BodyFile, FrameRate
+from .options import BodyFile, FrameRate, HideTorque
 from .settings import Setting
 
 PACKET = 65536
@@ -34,7 +34,7 @@ def live(
         int | None, typer.Option(min=1, max=65535, help="Listen to this port, a row a packet, in place of stdin.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Where the answers go: .csv; default: standard output.")] = None,
-    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore commanded torques.")] = False,
+    hide_torque: HideTorque = False,
     address: Annotated[str, Setting("address to listen at; 0.0.0.0 is all of them")] = "127.0.0.1",
     hours: Annotated[float, Setting("per false alarm of a change, at least, in the mean", float, least=0.001)] = 2.0,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import Checkpoint, Device, FolderOut, Isolate, Methods, Replicates, Seed, Workers
+from .settings import Setting
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,10 +19,10 @@ def compare_model(
     rows: Annotated[Path, typer.Argument(help="Its rows: .csv with a header; an empty cell is missing.")],
     methods: Methods,
     out: FolderOut,
-    truth: Annotated[Path | None, typer.Option(help="True states to score against: .csv, a column each.")] = None,
+    truth: Annotated[Path | None, Setting("true states to score against: .csv, a column each", Path)] = None,
     filters: Annotated[int | None, typer.Option(min=1, help="Filters (64), PMMH chains, SMC² runs.")] = None,
     particles: Annotated[int | None, typer.Option(min=1, help="Particles of each filter (100).")] = None,
-    draws: Annotated[int | None, typer.Option(min=1, help="Trajectories of each (4), or parameters.")] = None,
+    draws: Annotated[int | None, Setting("trajectories of each (4), or parameters", int, least=1)] = None,
     replicates: Replicates = 1,
     isolate: Isolate = False,
     seed: Seed = 0,

@@ -32,7 +32,10 @@ Calibration = Annotated[
     list[Path] | None,
     typer.Option(help="The cameras' calibration: .toml, .qca.txt (Qualisys), .yml or .json (OpenCV; repeatable)."),
 ]
-Offset = Annotated[list[str] | None, typer.Option(help="How far a camera's clock is ahead, s: cam2=0.02; repeatable.")]
+Offset = Annotated[
+    list[str] | None, Setting("how far a camera's clock is ahead, s: offset=cam2=0.02; repeatable", repeatable=True)
+]
+HideTorque = Annotated[bool, Setting("yes: ignore the recording's commands; default: no", yes)]
 Tracker = Annotated[
     str | None,
     typer.Option(help="What tracks a film: the left or right arm of a person, or a network of `invdyn train`."),

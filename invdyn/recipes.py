@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 RECIPES: dict[str, dict[str, Any]] = {
-    "mouse": {"torque": "none", "learn": ["lengths"], "noise": "student_t"},
-    "reach": {"noise": "student_t"},
-    "panda": {"hide_torque": True, "method": "laplace"},
+    "mouse": {"torque": "none", "learn": ["lengths"], "settings": ["noise=student_t"]},
+    "reach": {"settings": ["noise=student_t"]},
+    "panda": {"settings": ["hide_torque=yes"], "method": "laplace"},
 }
-"""Name -> option, by its name in `infer` -> value."""
+"""Name -> option, by its name in `infer` -> value; `settings` are those of `--set`."""
 
 
 def follow(context: typer.Context, name: str | None) -> str | None:

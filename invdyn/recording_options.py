@@ -12,6 +12,7 @@ from .options import (
     FileFormat,
     FrameRate,
     Frames,
+    HideTorque,
     Individual,
     Mapping,
     Offset,
@@ -62,7 +63,7 @@ class Recorded:
     ] = None
     base: Annotated[
         str | None,
-        typer.Option(help="Keypoint that becomes the origin; default: the first joint's (`diagnose` of metres: none)."),
+        Setting("keypoint that becomes the origin; default: the first joint's (`diagnose` of metres: none)"),
     ] = None
     frames: Frames = ":"
     calibration: Calibration = None
@@ -70,7 +71,7 @@ class Recorded:
     tracker: Tracker = None
     mapping: Mapping = None
     zero_torque: ZeroTorque = False
-    hide_torque: Annotated[bool, typer.Option("--hide-torque", help="Ignore the recording's commands.")] = False
+    hide_torque: HideTorque = False
     checkpoint: Checkpoint = None
     episodes: Annotated[str, Setting("which episodes of a log, such as 0,1; default: the first")] = "0"
     format: FileFormat = None

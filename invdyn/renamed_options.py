@@ -26,13 +26,14 @@ RENAMED = {
     "--browser": "--set browser=yes",
     "--no-browser": "--set browser=no",
     "--confine": "--set confine=yes",
+    "--hide-torque": "--set hide-torque=yes",
     "--no-confine": "--set confine=no",
 }
 """Old option to new one; a flag may become an option with its value."""
 SETTINGS = (
-    *("baseline", "bodies", "clock", "device", "dictionary", "encoders", "episodes", "every"),
-    *("filters-per-task", "forces", "format", "individual", "marker", "method-user", "noise", "person", "plane"),
-    *("sd", "size", "tolerance", "torque-scale", "tracks", "unit", "up"),
+    *("base", "baseline", "bodies", "clock", "device", "dictionary", "draws", "encoders", "episodes", "every"),
+    *("filters-per-task", "forces", "format", "individual", "marker", "method-user", "noise", "offset", "person"),
+    *("plane", "sd", "size", "tolerance", "torque-scale", "tracks", "truth", "unit", "up"),
 )
 """Old options that are settings now, each ``--set NAME=VALUE``."""
 

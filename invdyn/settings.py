@@ -16,12 +16,11 @@ from typer.core import TyperCommand
 COLUMN = 26  # characters of a help's first column
 MIN_GROUPED = 12  # options of a command from which on they stand in groups
 GROUPS = {
-    "Recording": "body height mass sex units fps scale base frames calibration offset tracker mapping others held_out "
-    "camera",
-    "Model": "zero_torque hide_torque truth learn torque noise recipe",
+    "Recording": "body height mass sex units fps scale frames calibration tracker mapping others held_out camera",
+    "Model": "zero_torque learn torque recipe",
     "Scene": "length refine fit",
     "Search": "exclude estimate max_effects budget force",
-    "Computation": "filters particles draws replicates workers seed seed_file checkpoint",
+    "Computation": "filters particles replicates workers seed seed_file checkpoint",
 }
 """Which group of a help an option stands in; the others stand at the end."""
 
@@ -51,7 +50,7 @@ class Setting:
 
 
 def spelled(kind: type, name: str) -> str:
-    """What a command line calls a field of a dataclass of options: "--set forces", "--map", "--hide-torque"."""
+    """What a command line calls a field of a dataclass of options: "--set forces", "--map", "--zero-torque"."""
     notes = get_args(get_type_hints(kind, include_extras=True)[name])[1:]
     if any(isinstance(each, Setting) for each in notes):
         return f"--set {name}"
@@ -67,9 +66,16 @@ def yes(text: str) -> bool:
     return text == "yes"
 
 
+def after_a_recipe(context: typer.Context, given: list[str] | None) -> list[str]:
+    """Settings of the recipe that this call follows, if any, then those that are given."""
+    return [*(context.default_map or {}).get("settings", ()), *(given or ())]
+
+
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="A rare setting, of those listed; repeatable."),
+    typer.Option(
+        "--set", metavar="NAME=VALUE", callback=after_a_recipe, help="A rare setting, of those listed; repeatable."
+    ),
 ]
 
 

@@ -86,7 +86,7 @@ def how(given: Inference, method: str) -> Any:
     from invdyn.recordings import InputError
 
     if given.truth is not None or given.forces is not None:
-        raise InputError("--truth and --set forces are of one recording: leave them out of a study")
+        raise InputError("--set truth and --set forces are of one recording: leave them out of a study")
     arguments = given.arguments
     sizes = SMCOptions(
         given.filters, given.particles, given.draws, device=given.device, filters_per_task=given.filters_per_task

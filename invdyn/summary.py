@@ -70,7 +70,7 @@ def _too_few(idata: az.InferenceData) -> list[str]:
         return []
     return [
         f"warning: bands of {MIN_DRAWS} independent draws or more mean something, these rest on {draws:.2g}: "
-        "raise --filters, --particles or --draws"
+        "raise --filters, --particles or --set draws"
     ]
 
 

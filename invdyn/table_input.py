@@ -157,13 +157,13 @@ def _in_space(
         )
     strange = [point for point in points if point not in sites and point != base]
     if strange and (own_file or len(strange) == len(points)):
-        hint = "" if base else f", or pass --base {strange[0]} if it is the first joint's own track"
+        hint = "" if base else f", or pass --set base={strange[0]} if it is the first joint's own track"
         raise _not_of_the_body(name, strange[0], sites, [site for site in sites if site not in points], hint)
     tracked = {base, site_at_base(body)} & {*points}
     if not tracked and points and not own_file and rooted(body):
         warnings.warn(
             f"{name}: no base is tracked (the file has {', '.join(points)}), so it is taken to rest where the body's "
-            "is, in the file's own frame; pass --base with the keypoint at the first joint if there is one",
+            "is, in the file's own frame; pass --set base=NAME, the first joint's keypoint if there is one",
             stacklevel=2,
         )
     numbers = body.parameters()

@@ -176,12 +176,12 @@ def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_f
     if near := same_letters(base, [name for name in known if name not in keypoints]):
         raise InputError(
             f"keypoint {near!r} differs from the first joint's name, {base!r}, in case or spaces alone: rename one of "
-            f"them, or pass --base {near!r}"
+            f"them, or pass --set base={near}"
         )
     if not own_frame and known:
         warnings.warn(
             f"{recording.name}: the base {base!r} is not tracked (the file has {', '.join(known)}), so it is taken to "
-            "rest where the body's is, in the file's own frame; pass --base with a keypoint's name if it is one",
+            "rest where the body's is, in the file's own frame; pass --set base=NAME, a keypoint, if it is one",
             stacklevel=2,
         )
 

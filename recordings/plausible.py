@@ -137,7 +137,7 @@ def check_in_space(
             if observed > (PLAUSIBLE.length_ratio if guessed else PLAUSIBLE.known_length_ratio) * farthest:
                 raise InputError(
                     f"{name} lies {observed:.3g} m from the base (median), and the body reaches {farthest:.3g} m at "
-                    "most: check --units, or pass --base with the keypoint at the first joint, if the recording has "
+                    "most: check --units, or pass --set base=NAME, the first joint's keypoint, if the recording has "
                     "another frame than the body"
                 )
     known_distances = {pair: length for pair, length in distances.items() if set(pair) <= known.keys()}

@@ -26,7 +26,7 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
     options.check()
     state = 3 * joints
     taken = {
-        "--filters × --draws": 16 * rows * options.num_filters * options.num_draws * state,
+        "--filters × --set draws": 16 * rows * options.num_filters * options.num_draws * state,
         "--particles": 4 * rows * options.at_once * options.num_particles * (state + 2)
         if PARTICLES & {*methods}
         else 0,

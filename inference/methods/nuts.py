@@ -62,7 +62,7 @@ def nuts(
     if draws < MIN_DRAWS:
         raise InputError(
             f"nuts: expected {MIN_DRAWS} draws of each of {chains} chains, for R-hat, got {draws}: "
-            f"let --filters × --draws be {MIN_DRAWS * chains} or more"
+            f"let --filters × --set draws be {MIN_DRAWS * chains} or more"
         )
     with seeded(seed):
         whitening = whitening_chain(model, observations, start)

@@ -196,7 +196,7 @@ def check_place(recording: Recording, body: Body) -> None:
             raise InputError(
                 f"{recording.name}: {name} turns about ({at}) {unit}, not about the base of body '{body.name}', from "
                 f"which its distance is {misfit:.2g} {unit} (rms) off {length:.3g}: expected keypoints in the body's "
-                "frame: set the base's place in the body's file, or pass --base with the keypoint at the first joint"
+                "frame: set the base's place in the body's file, or pass --set base=NAME, the first joint's keypoint"
             )
 
 

@@ -154,7 +154,7 @@ def arm_problem(
         raise InputError(
             f"{recording.name}: the commanded torque is missing at frame "
             f"{int(np.argwhere(~np.isfinite(command))[0][0])}: "
-            "fill it in, or pass --hide-torque to treat torques as unknown"
+            "fill it in, or pass --set hide_torque=yes to treat torques as unknown"
         )
     if isinstance(recording, Filmed) and recording.views is not None:
         columns = [recording.views.pixels[:, c, p] for c in range(len(recording.views.calibration)) for p, _ in sites]

@@ -52,7 +52,7 @@ class Filmed(Recording):
 
     def relative_to(self, keypoint: str) -> Recording:
         """Raise InputError: cameras stand where they stand."""
-        raise InputError(f"{self.name}: keypoints of pixels are not taken relative to {keypoint!r}: leave --base out")
+        raise InputError(f"{self.name}: pixels are not taken relative to {keypoint!r}: leave --set base out")
 
 
 def filmed(views: Views, name: str = "recording") -> Filmed:

@@ -194,7 +194,7 @@ def _at(track: Recording, first: Recording, name: str, offsets: Mapping[str, flo
 
 
 def _check_times(track: Recording, first: Recording, name: str) -> None:
-    fix = f"cut the films to the same frames, or state by how much its stamps run ahead: --offset {name}=SECONDS"
+    fix = f"cut the films to the same frames, or state by how much its stamps run ahead: --set offset={name}=SECONDS"
     if track.num_frames != first.num_frames:
         raise InputError(f"camera {name!r} has {track.num_frames} rows, the first camera {first.num_frames}: {fix}")
     apart = track.time - first.time

@@ -83,7 +83,7 @@ def test_triangulate_scales_what_is_not_metric(films, run):
 
 def test_triangulate_refines_and_turns(films, run):
     outcome = run(
-        *TRIANGULATE, "--refine", "--estimate", "focal", "--set", "up=y", "--set", "noise=1.5", "--offset", "cam2=0"
+        *TRIANGULATE, "--refine", "--estimate", "focal", "--set", "up=y", "--set", "noise=1.5", "--set", "offset=cam2=0"
     )
     assert outcome.exit_code == 0, outcome.output
     assert "scale of 1.50 px" in outcome.stdout
@@ -120,10 +120,10 @@ BAD = {
     ),
     "a distance of no camera": ((*TRIANGULATE, "--set", "baseline=cam1:cam9=1"), "no camera 'cam9'"),
     "a link of no body": ((*TRIANGULATE, "--length", "shin=0.3", "--body", "paper_planar_arm"), "no link 'shin'"),
-    "two kinds of offset": ((*TRIANGULATE, "--offset", "cam2=0", "--find-offsets", "0.1"), "choose one"),
-    "an offset in words": ((*TRIANGULATE, "--offset", "cam2=late"), "CAMERA=SECONDS"),
-    "an offset of no camera": ((*TRIANGULATE, "--offset", "cam9=1"), "cam9"),
-    "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--offset", "cam2=99"), "films overlap"),
+    "two kinds of offset": ((*TRIANGULATE, "--set", "offset=cam2=0", "--find-offsets", "0.1"), "choose one"),
+    "an offset in words": ((*TRIANGULATE, "--set", "offset=cam2=late"), "CAMERA=SECONDS"),
+    "an offset of no camera": ((*TRIANGULATE, "--set", "offset=cam9=1"), "cam9"),
+    "an offset past the film": ((*TRIANGULATE[:3], *TRIANGULATE[4:], "--set", "offset=cam2=99"), "films overlap"),
     "up in words": ((*TRIANGULATE, "--set", "up=north"), "up is one of"),
     "a lens without poses": ((*TRIANGULATE, "--estimate", "focal"), "choose both"),
     "an unknown part": ((*TRIANGULATE, "--refine", "--estimate", "iris"), "unknown part of a lens"),

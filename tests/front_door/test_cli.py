@@ -1,5 +1,6 @@
 """The commands: what each writes, and that it does what was said."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -8,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.main
 
 import invdyn.inference
 from invdyn.diagnosis_options import Diagnosed
 from invdyn.options import present_names
 from invdyn.plots import quantiles
 from invdyn.recordings import load, read_sto, read_table, read_truth
-from invdyn.renamed_options import with_new_names
+from invdyn.renamed_options import RENAMED, SETTINGS, with_new_names
 from invdyn.settings import spelled
 from invdyn.summary import independent_draws, summary_text
 
@@ -60,6 +62,13 @@ def test_the_old_name_of_a_method_works_with_a_warning():
 def test_a_field_is_called_what_a_command_line_calls_it():
     names = {"mapping": "--map", "episodes": "--set episodes", "held_out": "--held-out"}
     assert {name: spelled(Diagnosed, name) for name in names} == names
+
+
+def test_settings_that_old_options_name_exist():
+    commands = typer.main.get_command(app).commands.values()
+    known = {name.replace("_", "-") for each in commands for name in getattr(each.callback, "settings", ())}
+    flags = [re.match("--set (.+?)=", new) for new in RENAMED.values()]
+    assert {*SETTINGS, *(flag[1] for flag in flags if flag)} <= known
 
 
 def test_old_flags_become_values():
@@ -182,9 +191,9 @@ def test_infer_writes_all_that_is_wanted(folder, quick_inference, run, contents)
 def test_infer_passes_on_what_was_said(folder, quick_inference, run):
     Path("truth.csv").write_text("time,shoulder_torque,shoulder_angle,shoulder_velocity,elbow_torque,elbow_angle,"
                                  "elbow_velocity\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n")  # fmt: skip
-    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--truth", "truth.csv",
-                  "--method", "bootstrap", "--filters", 3, "--particles", 7, "--draws", 2, "--seed", 5,
-                  "--frames", "2:10", "--learn", "lengths", "--zero-torque", "--hide-torque")  # fmt: skip
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", "--set", "truth=truth.csv",
+                  "--method", "bootstrap", "--filters", 3, "--particles", 7, "--set", "draws=2", "--seed", 5,
+                  "--frames", "2:10", "--learn", "lengths", "--zero-torque", "--set", "hide_torque=yes")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     (call,) = quick_inference
     assert call["recording"].time[0] == pytest.approx(0.06)
@@ -254,8 +263,8 @@ def test_simulate_infer_plot_end_to_end(folder, run):
         "sim.csv",
         "--body",
         "arm.toml",
-        "--truth",
-        "truth.csv",
+        "--set",
+        "truth=truth.csv",
         "--filters",
         4,
         "--particles",
@@ -272,7 +281,7 @@ def test_simulate_infer_plot_end_to_end(folder, run):
 def test_a_posterior_of_too_few_draws_says_so(make_posterior):
     words = "warning: bands of 20 independent draws or more mean something, these rest on "
     assert words not in summary_text(make_posterior(num_filters=6))
-    assert f"{words}4: raise --filters, --particles or --draws" in summary_text(make_posterior(num_filters=1))
+    assert f"{words}4: raise --filters, --particles or --set draws" in summary_text(make_posterior(num_filters=1))
     one = make_posterior(num_filters=6)
     one.posterior["angle"][:] = one.posterior["angle"][:1].values  # copies of one filter's draws
     assert f"{words}4:" in summary_text(one)

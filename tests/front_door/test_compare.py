@@ -28,7 +28,7 @@ def simulated(folder, run):
 
 def test_writes_table_figure_and_posteriors(simulated, run, monkeypatch):
     monkeypatch.setitem(METHODS, "broken", failing)
-    outcome = run(*CALL, "--methods", "smc, broken,laplace", "--truth", "truth.csv", *QUICK)
+    outcome = run(*CALL, "--methods", "smc, broken,laplace", "--set", "truth=truth.csv", *QUICK)
     assert outcome.exit_code == 0, outcome.output
     written = {path.name for path in Path("DIR").iterdir()}
     assert written == {"comparison.csv", "comparison.json", "figure.png", "smc.nc", "laplace.nc"}
@@ -60,7 +60,7 @@ def test_all_failed_is_an_error(folder, run, monkeypatch):
         (("--methods", ""), "''"),
         (("--methods", "smc", "--torque", "magic"), "'magic'"),
         (("--methods", "smc", "--out", "rec.csv"), "rec.csv"),
-        (("--methods", "smc", "--truth", "none.csv"), "none.csv"),
+        (("--methods", "smc", "--set", "truth=none.csv"), "none.csv"),
         (("--methods", "smc", "--held-out", "1.5"), "held-out"),
         ((), "--methods"),
     ],
@@ -79,7 +79,17 @@ def test_bad_input_is_one_line_and_writes_nothing(folder, run, contents, more, n
 def test_options_of_a_recording_are_those_of_infer(run):
     """One declaration serves both commands."""
     infer, compare = (run(command, "--help").stdout for command in ("infer", "compare"))
-    shared = {"--body", "--truth", "--units", "--frames", "--torque", "--noise", "--zero-torque", "--filters", "--seed"}
+    shared = {
+        "--body",
+        "  truth ",
+        "--units",
+        "--frames",
+        "--torque",
+        "  noise ",
+        "--zero-torque",
+        "--filters",
+        "--seed",
+    }
     for option in shared:
         assert option in infer
         assert option in compare

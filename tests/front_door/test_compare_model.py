@@ -56,7 +56,7 @@ def given(tmp_path, monkeypatch):
 
 
 def test_a_model_of_ones_own_is_compared(given, run):
-    outcome = run(*CALL, "--truth", "truth.csv", "--replicates", 2)
+    outcome = run(*CALL, "--set", "truth=truth.csv", "--replicates", 2)
     assert outcome.exit_code == 0, outcome.output
     assert {path.name for path in Path("DIR").iterdir()} == {
         "comparison.csv", "comparison.json", "figure.png", "smc.nc", "laplace.nc",

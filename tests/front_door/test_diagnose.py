@@ -139,7 +139,7 @@ def test_options_arrive(commanded, folder, run, calls):
     run(*commanded, "--set", "source=robot")
     assert calls[-1]["robot"] is True
     assert "expected a source among robot, simulation" in run(*commanded, "--set", "source=real").output
-    run(*commanded, "--hide-torque", "--held-out", "other.csv")
+    run(*commanded, "--set", "hide_torque=yes", "--held-out", "other.csv")
     assert calls[-1]["recording"].torques is None
     assert calls[-1]["held_out"].torques is None
 
@@ -149,7 +149,7 @@ def test_keypoints_stay_where_they_were_filmed(commanded, run, calls):
     run(*commanded)
     assert calls[-1]["recording"].keypoint_names == ("elbow", "wrist")
     np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.1, 0.2], [2.1, 0.2]])
-    run(*commanded[:2], "--body", "arm.toml", "--out", "found", "--base", "shoulder")
+    run(*commanded[:2], "--body", "arm.toml", "--out", "found", "--set", "base=shoulder")
     np.testing.assert_allclose(calls[-1]["recording"].keypoints[0], [[1.0, 0.0], [2.0, 0.0]])
 
 
@@ -257,7 +257,7 @@ BAD = {
     "free of an unknown kind": ((*DIAGNOSE, "--estimate", "dampng"), "did you mean 'damping'"),
     "free without a number": ((*DIAGNOSE, "--estimate", "mass=much"), "mass=0.5, got 'much'"),
     "free of nothing": ((*DIAGNOSE, "--estimate", "damping"), "has no damping at any joint"),
-    "zero and hidden": ((*DIAGNOSE, "--zero-torque", "--hide-torque"), "choose one"),
+    "zero and hidden": ((*DIAGNOSE, "--zero-torque", "--set", "hide_torque=yes"), "choose one"),
     "held out is the recording": ((*DIAGNOSE, "--held-out", "./rec.csv"), "rec.csv: expected another recording"),
     "a recording twice": ((*DIAGNOSE, "--with", "hand.csv,hand.csv"), "for --with, got one twice"),
     "frames in words": ((*DIAGNOSE, "--frames", "all"), "50:250"),

@@ -12,7 +12,7 @@ from invdyn.outputs import OutputFiles
 from invdyn.recordings import Recording, read_sto, write_keypoint_csv
 
 ROWS = 16
-FEW = ("--filters", "2", "--particles", "30", "--draws", "4", "--set", "drive=joints")
+FEW = ("--filters", "2", "--particles", "30", "--set", "draws=4", "--set", "drive=joints")
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def test_a_trackers_markers_are_read_in_their_own_axes_and_unit(robot):
     header += ["Frame#\tTime\ttool\t\t\thead\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2"]
     with open("rec.trc", "w") as file:
         file.write("\n".join([*header, *rows]) + "\n")
-    no_base = pytest.warns(UserWarning, match="no base is tracked .* pass --base with the keypoint at the first joint")
+    no_base = pytest.warns(UserWarning, match="no base is tracked .* pass --set base=NAME, the first joint's keypoint")
     with no_base, pytest.warns(UserWarning, match="y is up in this file"):
         read = load_recording("rec.trc", robot)
     assert read.keypoint_names == ("tool",)
@@ -137,12 +137,12 @@ WRONG = {
     "elsewhere": (
         lambda r: Recording(r.time, r.keypoints + 5.0, r.keypoint_names),
         {},
-        "tool lies .* m from the base .* pass --base with the keypoint at the first joint",
+        "tool lies .* m from the base .* pass --set base=NAME, the first joint's keypoint",
     ),
     "a base": (
         lambda r: Recording(r.time, r.keypoints, ("foot", "camera")),
         {},
-        "'foot' is not of the body, .*: rename one of them, or pass --base foot if it is the first joint's own track",
+        "'foot' is not of the body, .*: rename .* or pass --set base=foot if it is the first joint's own track",
     ),
     "flat": (lambda r: Recording(r.time, r.keypoints[..., :2], r.keypoint_names), {}, "give tool_z and the like too"),
     "strange": (lambda r: Recording(r.time, r.keypoints, ("tol", "camera")), {}, "closest: 'tool'"),
@@ -201,7 +201,7 @@ def test_from_a_recording_to_torques(robot, run):
     """Encoders and one point: every output is there, and the bands hold the truth where they should."""
     run("simulate", "--body", "robot.toml", "--out", "rec.csv", "--truth", "truth.csv", "--duration", "0.6",
         "--fps", "50", "--set", "encoders=0.0005")  # fmt: skip
-    outcome = run("infer", "rec.csv", "--body", "robot.toml", "--truth", "truth.csv", "--out", "p.nc", "--out",
+    outcome = run("infer", "rec.csv", "--body", "robot.toml", "--set", "truth=truth.csv", "--out", "p.nc", "--out",
                   "f.png", "--out", "f.sto", "--filters", "2", "--particles", "20")  # fmt: skip
     assert outcome.exit_code == 0, outcome.output
     row = next(line for line in outcome.stdout.splitlines() if line.startswith("lift")).split()

@@ -8,7 +8,7 @@ import pytest
 from invdyn.inference import load_posterior
 from invdyn.recordings import read_table
 
-SMALL = ("--filters", 4, "--particles", 20, "--draws", 4)
+SMALL = ("--filters", 4, "--particles", 20, "--set", "draws=4")
 
 
 @pytest.fixture

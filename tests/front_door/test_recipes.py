@@ -11,6 +11,7 @@ from invdyn.inference import METHODS
 from invdyn.inference_options import AUTO, NONE
 from invdyn.models import FAMILIES, TORQUE_PROCESSES
 from invdyn.recipes import RECIPES
+from invdyn.settings import read_settings
 
 GUIDE = (ROOT / "docs" / "how-to" / "recipes.md").read_text("utf-8")
 
@@ -25,21 +26,24 @@ def parameters(*words):
 def test_it_sets_what_it_says_and_nothing_else(name):
     usual, found = parameters(), parameters("--recipe", name)
     changed = {option for option in usual if usual[option] != found[option]} - {"recipe"}
-    assert changed == set(RECIPES[name])
-    assert {option: found[option] for option in changed} == RECIPES[name]
+    said = {{"settings": "assignments"}.get(option, option): value for option, value in RECIPES[name].items()}
+    assert {option: found[option] for option in changed} == said
 
 
 @pytest.mark.parametrize("name", RECIPES)
 def test_its_values_are_known(name):
     found = parameters("--recipe", name)
     assert found["torque"] in (*TORQUE_PROCESSES, AUTO, NONE)
-    assert found["noise"] in (None, *FAMILIES)
+    settings = dict(text.split("=") for text in found["assignments"])
+    assert settings.get("noise") in (None, *FAMILIES)
     assert found["method"] in METHODS
 
 
 def test_what_is_given_takes_precedence():
-    given = parameters("--noise", "gaussian", "--recipe", "mouse")
-    assert given["noise"] == "gaussian"
+    given = parameters("--set", "noise=gaussian", "--recipe", "mouse")
+    command = typer.main.get_command(app).commands["infer"]
+    assert given["assignments"] == [*RECIPES["mouse"]["settings"], "noise=gaussian"]
+    assert read_settings(command.callback.settings, given["assignments"]) == {"noise": "gaussian"}
     assert given["learn"] == RECIPES["mouse"]["learn"]
 
 
@@ -57,5 +61,5 @@ def test_the_guide_says_what_it_sets(name):
     assert len(sections[name].splitlines()) <= 40
     for option, value in RECIPES[name].items():
         words = [value] if isinstance(value, str) else value if isinstance(value, list) else []
-        flag = "--" + option.replace("_", "-")
+        flag = "--set" if option == "settings" else "--" + option.replace("_", "-")
         assert " ".join([flag, *words]) in sections[name]

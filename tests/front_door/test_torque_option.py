@@ -6,7 +6,7 @@ import pytest
 
 from invdyn.inference import load_posterior
 
-SMALL = ("--method", "laplace", "--filters", 2, "--draws", 2)
+SMALL = ("--method", "laplace", "--filters", 2, "--set", "draws=2")
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ from invdyn.study_commands import _texts, how
 from invdyn.study_table import ManyTrials, read_rows, read_trials
 from invdyn.view import view_of
 
-SMALL = ("--filters", 8, "--draws", 2)
+SMALL = ("--filters", 8, "--set", "draws=2")
 BODY = "paper_planar_arm"
 
 
@@ -161,7 +161,7 @@ def test_no_trial_left_writes_nothing(tmp_path, run):
 
 
 def test_a_truth_has_no_part_in_a_study(recorded):
-    with pytest.raises(InputError, match="--truth"):
+    with pytest.raises(InputError, match="--set truth"):
         invdyn.trials(recorded / "trials.txt", BODY, truth="truth.csv")
 
 

@@ -54,7 +54,7 @@ def test_the_same_in_space():
     check_fits(right, body, Units())
     with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
         check_fits(replace(right, keypoints=points[:, ::-1]), body, Units())
-    with pytest.raises(InputError, match=r"elbow lies .* m from the base .* pass --base"):
+    with pytest.raises(InputError, match=r"elbow lies .* m from the base .* pass --set base"):
         check_fits(replace(right, keypoints=points + 3.0), body, Units())
     with pytest.raises(InputError, match=r"wrist lies 3.56 m from the base .* check --units"):
         check_fits(right.scaled(2.0, "m"), body, Units())

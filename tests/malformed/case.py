@@ -27,7 +27,7 @@ inertia = 0.04
 FRAMES = 12
 COLUMNS = ("time", "wrist_x", "wrist_y", "wrist_likelihood", "elbow_torque", "elbow_angle")
 TRUTH = ("time", "elbow_torque", "elbow_angle", "elbow_velocity")
-SMALL = ("--filters", "2", "--particles", "8", "--draws", "1")
+SMALL = ("--filters", "2", "--particles", "8", "--set", "draws=1")
 GIVEN = ("rec.csv", "--body", "arm.toml")
 INFER = ("infer", *GIVEN, "--out", "out.nc", *SMALL)
 TRACKED = ("infer", "dlc.csv", "--body", "arm.toml", "--units", "px", "--fps", "30", "--out", "out.nc", *SMALL)
@@ -72,7 +72,9 @@ class Case:
 
 
 def with_option(call: tuple[str, ...], option: str, value: str) -> tuple[str, ...]:
-    """The call with another value of an option, which it has already or not."""
+    """The call with another value of an option, which it has already or not, or of a setting ("--set draws")."""
+    if option.startswith("--set "):
+        return (*call, "--set", f"{option.removeprefix('--set ')}={value}")  # the last one counts
     if option in call:
         place = call.index(option) + 1
         return (*call[:place], value, *call[place + 1 :])
@@ -105,7 +107,7 @@ def make_good(folder: Path, run: Callable) -> None:
     texts = {"arm.toml": BODY, "rec.csv": table(), "truth.csv": table(TRUTH), "dlc.csv": deeplabcut()}
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    outcome = run(*with_option(KEPT, "--out", "posterior.nc"), "--truth", "truth.csv")
+    outcome = run(*with_option(KEPT, "--out", "posterior.nc"), "--set", "truth=truth.csv")
     assert outcome.exit_code == 0, outcome.stderr
     outcome = run(*MIXED)
     assert outcome.exit_code == 0, outcome.stderr

@@ -30,7 +30,7 @@ def cases() -> Iterator[Case]:
     for call, option in given:
         for value in REALS:
             yield Case("number in an option", with_option(call, option, value), what=f"{option} {value}")
-    sizes = ("--filters", "--particles", "--draws", "--seed", "--workers")
+    sizes = ("--filters", "--particles", "--set draws", "--seed", "--workers")
     counted = [(INFER, option) for option in sizes]
     counted += [(DIAGNOSE, option) for option in ("--max-effects", "--seed", "--workers")]
     counted += [(SIMULATE, "--seed"), (COMPARE, "--particles"), (COMPARE, "--seed")]
@@ -38,7 +38,7 @@ def cases() -> Iterator[Case]:
         for value in COUNTS:
             yield Case("count in an option", with_option(call, option, value), what=f"{option} {value}")
     for method in ("smc", "bootstrap", "particle-gibbs", "vsmc", "nuts", "svi"):
-        for option in ("--particles", "--filters", "--draws"):
+        for option in ("--particles", "--filters", "--set draws"):
             if option == "--particles" and method in ("nuts", "svi"):  # they have none
                 continue
             call = with_option((*INFER, "--method", method), option, str(10**9))
@@ -55,7 +55,7 @@ def cases() -> Iterator[Case]:
         yield Case("count in an option", with_option(BLIND, "--workers", value), what=f"--workers {value}")
         yield Case("count in an option", (*BLIND, "--kinds", f"none={value}"), what=f"--kinds none={value}")
     for value in TEXTS:
-        for option in ("--method", "--torque", "--noise", "--units", "--base", "--workers"):
+        for option in ("--method", "--torque", "--set noise", "--units", "--set base", "--workers"):
             yield Case("text in an option", with_option(INFER, option, value), what=f"{option} {value}")
         yield Case("text in an option", with_option(COMPARE, "--methods", value), what=f"--methods {value}")
         yield Case("text in an option", with_option(DIAGNOSE, "--exclude", value), what=f"--exclude {value}")

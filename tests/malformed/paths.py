@@ -80,7 +80,7 @@ READ = [
     ("arm", ".toml", lambda name: with_option(INFER, "--body", name)),
     ("arm", ".xml", lambda name: with_option(SIMULATE, "--body", name)),
     ("arm", ".urdf", lambda name: with_option(SIMULATE, "--body", name)),
-    ("truth", ".csv", lambda name: with_option(INFER, "--truth", name)),
+    ("truth", ".csv", lambda name: with_option(INFER, "--set truth", name)),
     ("also", ".csv", lambda name: with_option(DIAGNOSE, "--with", name)),
     ("held", ".csv", lambda name: with_option(DIAGNOSE, "--held-out", name)),
     ("post", ".nc", lambda name: (PLOT[0], name, *PLOT[2:])),

@@ -69,7 +69,7 @@ def cases() -> Iterator[Case]:
     for column in TRUTH:
         for value in (*NUMBERS[:6], *WORDS[:4]):
             cell = {"truth.csv": table(TRUTH, **{column: value})}
-            call = (*INFER, "--truth", "truth.csv", "--out", "out.csv")
+            call = (*INFER, "--set", "truth=truth.csv", "--out", "out.csv")
             yield Case("number in a truth", call, cell, what=f"{column} {value}")
     for value in (*NUMBERS, *WORDS):
         content = {"dlc.csv": deeplabcut(value)}
@@ -77,7 +77,7 @@ def cases() -> Iterator[Case]:
     for what, content in FORMS.items():
         for call in (INFER, COMPARE, DIAGNOSE):
             yield Case("form of a table", call, {"rec.csv": content}, what=what)
-        truth = with_option(INFER, "--truth", "truth.csv")
+        truth = with_option(INFER, "--set truth", "truth.csv")
         yield Case("form of a table", truth, {"truth.csv": content}, what=f"truth: {what}")
         yield Case("form of a table", TRACKED, {"dlc.csv": content}, what=f"tracks: {what}")
     for suffix in ("h5", "slp", "nwb", "trc", "xyz"):

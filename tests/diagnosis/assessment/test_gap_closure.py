@@ -88,7 +88,7 @@ def test_another_recording_is_held_out():
 def test_a_held_out_recording_has_torques_as_the_other_one_has():
     known = recorded()
     hidden = replace(known, torques=None, name="other")
-    with pytest.raises(InputError, match=r"^other: expected a held-out .* with torques in it, .* --hide-torque$"):
+    with pytest.raises(InputError, match=r"^other: expected a held-out .* with torques in .* --set hide_torque=yes$"):
         diagnose(known, PENDULUM, held_out=hidden)
     with pytest.raises(InputError, match=r"torques that are unknown, .* got commanded"):
         diagnose(hidden, PENDULUM, held_out=known)

@@ -20,7 +20,7 @@ def test_what_is_asked_for_is_what_states_weights_and_trajectories_take():
         check_memory(100, 2, SMCOptions(64, 9_766, 1), ("smc",))
     # 16 · 100 · 64 · 6 bytes are 614,400 a trajectory of each filter
     check_memory(100, 2, SMCOptions(64, 1, 1_627), ("smc",))
-    with pytest.raises(InputError, match="--filters × --draws"):
+    with pytest.raises(InputError, match="--filters × --set draws"):
         check_memory(100, 2, SMCOptions(64, 1, 1_628), ("smc",))
 
 

@@ -46,7 +46,7 @@ def test_keypoints_are_chosen_in_order(views):
 
 def test_what_does_not_fit_is_refused(views):
     film = filmed(views)
-    with pytest.raises(InputError, match="leave --base out"):
+    with pytest.raises(InputError, match="leave --set base out"):
         film.relative_to("shoulder")
     with pytest.raises(InputError, match="--calibration-out"):
         filmed(replace(views, calibration=ring(3).scaled(2.0, metric=False)))

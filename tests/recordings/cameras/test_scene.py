@@ -91,7 +91,7 @@ def test_an_offset_is_taken_away(tmp_path):
     files = write_tracks(tmp_path, calibration, fine[::10])
     # Camera 2 opens .3 frames later, and its clock runs 1 s ahead.
     files |= write_tracks(tmp_path, calibration.select(["cam2"]), fine[3::10], TIME[:-1] + 0.3 / RATE + 1.0)
-    with pytest.raises(InputError, match=r"'cam2' has 39 rows, the first camera 40: .*--offset cam2=SECONDS"):
+    with pytest.raises(InputError, match=r"'cam2' has 39 rows, the first camera 40: .*--set offset=cam2=SECONDS"):
         read_views(files, calibration)
     views = read_views(files, calibration, offsets={"cam2": 1.0})
     assert np.isnan(views.pixels[0, 1]).all()
