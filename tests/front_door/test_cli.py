@@ -12,6 +12,7 @@ import pytest
 import typer.main
 
 import invdyn.inference
+from invdyn.cli import app
 from invdyn.diagnosis_options import Diagnosed
 from invdyn.options import present_names
 from invdyn.plots import quantiles
