@@ -23,9 +23,9 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis import design_motion
+from invdyn.diagnosis.catalogue.linear_laws import FRICTION, INERTIAL
 from invdyn.diagnosis.excite.limits import MotionLimits
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
-from invdyn.diagnosis.regression.regress import FRICTION, regress
+from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.stated_numbers import Estimated
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.mjcf_writer import write_mjcf

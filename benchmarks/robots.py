@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 from kept import kept
 
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression, regress
 from invdyn.diagnosis.regression.regressors import nominal_link_numbers
 from invdyn.inputs import load_body, read_logs

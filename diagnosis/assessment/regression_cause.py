@@ -9,10 +9,10 @@ import numpy as np
 
 from invdyn.diagnosis.assessment.findings import described_by, place
 from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.regression.as_model import Coefficients, model_on, with_coefficients
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.models import ArmModel
 from invdyn.models.effects.base import PREFIX, Effect, side_of

@@ -24,9 +24,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS, SHOWN_BY
 from invdyn.diagnosis.excite.limits import MotionLimits
 from invdyn.diagnosis.excite.trajectory import Path
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.regression.regressors import (
     filed_torques,
     link_names,
@@ -72,17 +72,11 @@ class Information:
         self.about = torch.tensor([not about or each.effect in about for each in self.columns])
 
     def _columns(self, body: Body, limits: MotionLimits) -> list[Column]:
-        reference = {
-            "viscous_friction": limits.speed,
-            "coulomb_friction": np.ones_like(limits.speed),
-            "armature": limits.acceleration,
-            "joint_stiffness": np.maximum(limits.half, 1e-3),
-            "constant_torque": np.ones_like(limits.speed),
-            "actuator_gain": self.load.numpy(),
-        }
+        one, half, load = np.ones_like(limits.speed), np.maximum(limits.half, 1e-3), self.load.numpy()
+        largest = (limits.speed, one, limits.acceleration, half, one, load)
         found = []
-        for kind, ((name, unit), *_) in JOINT_KINDS.items():
-            sizes = FIXED.excite_share * self.load.numpy() / reference[kind]
+        for (kind, ((name, unit), *_)), size in zip(JOINT_KINDS.items(), largest, strict=True):
+            sizes = FIXED.excite_share * load / size
             found += [Column(kind, j, name, unit, float(s)) for j, s in zip(body.joint_names, sizes, strict=True)]
         own = nominal_link_numbers(body)
         sizes = []
@@ -132,11 +126,9 @@ def _log_det(precision: Tensor) -> Tensor:
 
 KINDS = (*JOINT_KINDS, INERTIAL)
 """Effects that columns are of."""
-SAME = {"payload": INERTIAL, "stribeck_friction": "coulomb_friction", "load_friction": "coulomb_friction"}
-"""Effects of the catalogue that torque is nearly linear in, by the kind that tells of them."""
 
 
 def kinds_of(names: Sequence[str]) -> list[str]:
     """Which kinds of columns tell of effects of the catalogue, by their ``names``."""
-    found = [SAME.get(name, name) for name in names]
+    found = [SHOWN_BY.get(name, name) for name in names]
     return [kind for kind in KINDS if kind in found]

@@ -10,8 +10,8 @@ effect counts as one statement in the prior
 
 from dataclasses import dataclass, field
 
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS, USUAL, WITHIN
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
-from invdyn.diagnosis.regression.linear_effects import FRICTION, INERTIAL, JOINT_KINDS, WITHIN
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.effects.base import Effect
@@ -44,7 +44,7 @@ def start_of(regression: Regression | None, problem: DiagnosisProblem) -> Start:
     found = dict(regression.coefficients)
     found |= {(WITHIN[k[0]], *k[1:]): -v for k, v in found.items() if k[0] in WITHIN}
     stated = {s.effect for s in regression.stated}
-    usual = {*FRICTION, "armature"} | ({INERTIAL} if body.dimensions == 2 or INERTIAL in stated else set())
+    usual = set(USUAL) | ({INERTIAL} if body.dimensions == 2 or INERTIAL in stated else set())
     every = [effect for _, effect in problem.catalogue.everywhere(body, [])]
     effects = tuple(effect for effect in every if effect.name in usual)
     springs = {(name, place) for name, place, _ in found if name in WITHIN.values()}

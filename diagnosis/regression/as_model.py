@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, WITHIN
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, WITHIN
 from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.regression.regressors import link_axes, nominal_link_numbers

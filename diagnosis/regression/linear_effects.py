@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
+from invdyn.diagnosis.catalogue.linear_laws import DAMPING, FILED, FRICTION, GAIN, INERTIAL, JOINT_KINDS, LOWER_BOUNDS
 from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
@@ -40,28 +41,6 @@ from invdyn.diagnosis.regression.regressors import (
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
-
-INERTIAL, GAIN = "inertial_error", "actuator_gain"
-FRICTION = ("viscous_friction", "coulomb_friction")
-JOINT_KINDS = {
-    "viscous_friction": (("damping", "N·m·s/rad"),),
-    "coulomb_friction": (("torque", "N·m"),),
-    "armature": (("inertia", "kg·m²"),),
-    "joint_stiffness": (("stiffness", "N·m/rad"), ("torque", "N·m")),
-    "constant_torque": (("torque", "N·m"),),
-    "actuator_gain": (("gain", "1"),),
-}
-WITHIN = {"constant_torque": "joint_stiffness"}
-"""Effects whose column is among those of another."""
-FILED = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "friction",
-    "armature": "armature",
-    "joint_stiffness": "stiffness",
-}
-"""Of numbers that are never negative, what a body's file says of each joint."""
-LOWER_BOUNDS = {GAIN: -0.9}
-"""Of other numbers: what is commanded for a torque has its sign."""
 
 
 @dataclass(frozen=True)
@@ -121,14 +100,15 @@ def expected(dynamics: Dynamics, body: Any, motion: MeasuredMotion, passive: boo
     """All columns of a body along a motion; where it is ``passive``, of friction and links alone."""
     K, sign, required = motion.q.shape[1], expected_sign(motion), required_by_file(dynamics, body, motion)
     one, none = np.ones_like(motion.q), np.zeros_like(motion.q)
-    made = {
-        "viscous_friction": [(motion.qd, motion.qd_sd**2)],
-        "coulomb_friction": [(sign, 1 - sign**2)],
-        "armature": [(motion.qdd, motion.qdd_sd**2)],
-        "joint_stiffness": [(motion.q, none), (-one, none)],
-        "constant_torque": [(one, none)],
-        "actuator_gain": [(required, none)],
-    }
+    columns = (
+        [(motion.qd, motion.qd_sd**2)],
+        [(sign, 1 - sign**2)],
+        [(motion.qdd, motion.qdd_sd**2)],
+        [(motion.q, none), (-one, none)],
+        [(one, none)],
+        [(required, none)],
+    )
+    made = dict(zip(JOINT_KINDS, columns, strict=True))
     kinds = FRICTION if passive else tuple(made)
     labels = tuple((kind, k, n) for kind in kinds for k in range(K) for n in range(len(made[kind])))
     at = [np.array([p for p, (_, joint, _) in enumerate(labels) if joint == k]) for k in range(K)]
@@ -193,7 +173,7 @@ def linear_effects(
         own = parts[k] or NOTHING
         least[p] = LOWER_BOUNDS.get(kind, -np.inf)
         if kind in FILED and n == 0:
-            own_damping = own.servo_damping if kind == "viscous_friction" else 0.0
+            own_damping = own.servo_damping if kind == DAMPING else 0.0
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
         names.append((kind, joints[k], name, of))
     numbers = nominal_link_numbers(body)
@@ -227,7 +207,7 @@ def linear_effects(
 
 def joints_of(effects: LinearEffects) -> list[str]:
     """Names of the K joints."""
-    return [place for kind, place in zip(effects.kinds, effects.places, strict=True) if kind == "viscous_friction"]
+    return [place for kind, place in zip(effects.kinds, effects.places, strict=True) if kind == DAMPING]
 
 
 def expected_sign(motion: MeasuredMotion) -> np.ndarray:

@@ -19,11 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.diagnosis.catalogue.linear_laws import FRICTION, GAIN, INERTIAL
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import (
-    FRICTION,
-    GAIN,
-    INERTIAL,
     Expected,
     LinearEffects,
     expected,

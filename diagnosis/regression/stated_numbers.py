@@ -27,8 +27,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from invdyn.diagnosis.catalogue.linear_laws import GAIN, INERTIAL, LOWER_BOUNDS
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
-from invdyn.diagnosis.regression.linear_effects import GAIN, INERTIAL, LOWER_BOUNDS, LinearEffects, joints_of
+from invdyn.diagnosis.regression.linear_effects import LinearEffects, joints_of
 from invdyn.diagnosis.regression.regressors import base_columns, nominal_link_numbers
 from invdyn.diagnosis.regression.servo_gains import ServoGains
 from invdyn.diagnosis.regression.weighted_fit import Fitted, left_by

@@ -35,8 +35,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, WITHIN
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
-from invdyn.diagnosis.regression.linear_effects import INERTIAL, WITHIN, LinearEffects
+from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.rules import FIXED, Rules
 

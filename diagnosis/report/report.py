@@ -15,8 +15,8 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.problem.regime import REGIMES
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, handy, known, percent, plain, plus_minus

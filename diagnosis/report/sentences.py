@@ -13,7 +13,7 @@ from invdyn.diagnosis.assessment.result import (
     Where,
     named,
 )
-from invdyn.diagnosis.regression.linear_effects import INERTIAL
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
