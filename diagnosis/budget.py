@@ -82,7 +82,7 @@ class Budget:
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
         plain = model.torque_size + 2 * model.body.num_joints
-        passes *= FIXED.rowwise_cost if model.jumping is not None else 1.0
+        passes *= FIXED.rowwise_cost if model.contact_states is not None else 1.0
         self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":

@@ -38,7 +38,7 @@ class Continued(StateSpaceModel):
         super().__init__({**model.parameters, "start.mean": mean, "start.root": root})
         self.model, self.first = model, first
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
-        self.num_steps, self.jumping = model.num_steps - first, model.jumping
+        self.num_steps, self.contact_states = model.num_steps - first, model.contact_states
         self.emission_about_mean = model.emission_about_mean
 
     def replace(self, **values: Tensor) -> Self:

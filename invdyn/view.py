@@ -20,7 +20,7 @@ import xarray as xr
 from invdyn.inference import load_posterior
 from invdyn.inference.posterior.functionals import Z90
 from invdyn.inference.study.store import FILES, study_files
-from invdyn.recordings import InputError, write_text
+from invdyn.recordings import InputError
 
 from .film import arm_points, skeleton
 from .page import View
@@ -36,17 +36,12 @@ STYLES = ("after", "before", "third", "fourth")
 """Of a study's levels."""
 
 
-def write_view(path: str | Path, out: str | Path, align: str | None = None) -> None:
-    """Write the page of a posterior (.nc), of a diagnosis (its folder or diagnosis.json) or of a study (its folder).
+def view_of(path: str | Path, align: str | None = None) -> View:
+    """What a page shows of a posterior (.nc), of a diagnosis (its folder or diagnosis.json) or of a study (its folder).
 
     A study's trials are aligned at the event ``align``, by default the first by name. Raises InputError for a file of
-    another kind, or an event that no trial has; OSError where one cannot be read or written.
+    another kind, or an event that no trial has; OSError where it cannot be read.
     """
-    write_text(out, view_of(path, align).html())
-
-
-def view_of(path: str | Path, align: str | None = None) -> View:
-    """What a page shows of a file; raises as :func:`write_view`."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     if (path / FILES).exists():

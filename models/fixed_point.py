@@ -12,7 +12,7 @@ Selfridge and Kasim, "Parallelizing non-linear sequential models over the sequen
 Slopes are differences; one that straddles a contact is left out. A last pass over all rows is without them, so that
 what lies at a stop lies there to the bit.
 
-Shapes: paths (..., T, D), R rows of them, E jumping states.
+Shapes: paths (..., T, D), R rows of them, E contact states.
 """
 
 import torch
@@ -32,11 +32,11 @@ NUDGE, STEEP = 1e-6, 20.0
 
 @torch.no_grad()
 def settled(model: StateSpaceModel, path: Tensor) -> Tensor:
-    """The path (..., T, D) with the model's ``jumping`` states settled; one that is so already stays to the bit.
+    """The path (..., T, D) with the model's ``contact_states`` settled; one that is so already stays to the bit.
 
     The path itself where the model has none.
     """
-    if model.jumping is None:
+    if model.contact_states is None:
         return path
     every = rows = torch.arange(1, path.shape[-2])
     path, sets, leapt = path.clone(), path.shape[:-2].numel(), False
@@ -60,24 +60,24 @@ def _pass(model: StateSpaceModel, path: Tensor, rows: Tensor, leaps: bool = Fals
 
     Of the whole, any change counts: what follows a contact may have many times as much of it.
     """
-    before, here = path[..., rows - 1, :], path[..., rows, model.jumping]
+    before, here = path[..., rows - 1, :], path[..., rows, model.contact_states]
     if leaps:
         moved = _carried(here, *_sent(model, before, rows), rows)
     else:
-        moved = gaussian_mean(model.transition(before, rows))[..., model.jumping]
+        moved = gaussian_mean(model.transition(before, rows))[..., model.contact_states]
     close = 0.0 if whole else CLOSE
     changed = ~((moved - here).abs().movedim(-2, 0).flatten(1).amax(1) <= close)  # NaN, too, is a change
     taken = torch.ones_like(changed) if whole else changed
-    path[..., rows[taken], model.jumping] = moved[..., taken, :]
+    path[..., rows[taken], model.contact_states] = moved[..., taken, :]
     after = rows[changed] + 1
     return after[after < path.shape[-2]]
 
 
 def _sent(model: StateSpaceModel, before: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
     """Values f_t (..., R, E) of rows that follow states ``before`` (..., R, D), and its slopes (..., R, E, E)."""
-    nudges = NUDGE * torch.eye(before.shape[-1], dtype=before.dtype)[model.jumping]
+    nudges = NUDGE * torch.eye(before.shape[-1], dtype=before.dtype)[model.contact_states]
     nudges = torch.cat([torch.zeros_like(nudges[:1]), nudges]).reshape(-1, *[1] * (before.ndim - 1), before.shape[-1])
-    f = gaussian_mean(model.transition(before + nudges, rows))[..., model.jumping]
+    f = gaussian_mean(model.transition(before + nudges, rows))[..., model.contact_states]
     slopes = ((f[1:] - f[0]) / NUDGE).movedim(0, -1)
     return f[0], torch.where((slopes.abs() < STEEP).all(-1).all(-1)[..., None, None], slopes, 0.0)
 

@@ -109,7 +109,7 @@ class StateSpaceModel(ABC):
     """Whether linearising methods take the emission's noise as it is along a path, although it may depend on the state:
     a row then informs the state through the emission's mean alone."""
 
-    jumping: slice | None = None
+    contact_states: slice | None = None
     """States that the others drive by jumps, which tangents pass by: Gauss–Newton takes them :mod:`.fixed_point`,
     and all slopes by differences."""
 

@@ -130,7 +130,7 @@ def filtered_under(
     slopes = slopes_along(scaled(problem, cause.model, size, cause.kappa), cause.path)
     smoothers = gauss_newton(model, problem.observations, start=start, max_iterations=3, tolerance=0.1, slopes=slopes)
     # No linearised dynamics show where a gap's state goes.
-    block = BLOCK if model.jumping is None else 1
+    block = BLOCK if model.contact_states is None else 1
     with seeded(seed):
         return BlockFilter(model, smoothers, problem.rules.outcome.num_particles, block=block).run(problem.observations)
 

@@ -80,7 +80,7 @@ def lifted(model: ArmModel, path: Tensor) -> Tensor:
     if has == needs:
         return settled(model, path)
     path = torch.cat([path[:, :torque], path[:, torque + has :]], -1)
-    if model.jumping is not None:
+    if model.contact_states is not None:
         path, _ = latent_response(model, path, 1, DEFAULT)  # a gap has no slopes
         return path.squeeze(0)
     return torch.cat([path[:, :torque], path.new_zeros(len(path), needs), path[:, torque:]], -1)

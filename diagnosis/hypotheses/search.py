@@ -217,7 +217,7 @@ def exchange(found: HypothesisPool, best: FittedHypothesis) -> None:
     problem = found.problem
     for old in best.effects:
         base = best.less(problem, old)
-        if is_searched(old) or base.model.jumping is not None:
+        if is_searched(old) or base.model.contact_states is not None:
             continue  # backlash leaves no path that a screen could be along
         free = joinable(found, base.effects, old)
         if best.complete and not base.effects:

@@ -108,7 +108,7 @@ class DiagnosisProblem:
         missing = path[:, :joints].square().mean(0).sqrt() / self.typical
         shape = (missing / missing.max().clamp_min(1e-12)).clamp_min(self.rules.residual.min_joint_size)
         _, angle, _ = self.model.split(path)
-        model = self.model.turning(angle.amin(0), angle.amax(0))
+        model = self.model.with_observed_range(angle.amin(0), angle.amax(0))
         return replace(self, problem=replace(self.problem, model=model), shape=tuple(shape.tolist()))
 
     def in_substeps(self, count: int) -> "DiagnosisProblem":
@@ -202,7 +202,7 @@ def diagnosis_problem(
     if starts:
         model = model.restarted_at(starts, angle[starts])
     fast = velocity.square().quantile(0.99, dim=0).clamp_min(1e-12).sqrt()
-    model = model.moving(fast * rules.recording.motion_share)
+    model = model.with_observed_speed(fast * rules.recording.motion_share)
     model = model.in_substeps(sufficient_substeps(model, usual))
     return DiagnosisProblem(replace(problem, model=model, doubted=False), regime, uncertain, tuple(starts), rules=rules)
 

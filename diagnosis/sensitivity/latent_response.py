@@ -32,7 +32,7 @@ def latent_response(model: ArmModel, path: Tensor, count: int, rules: Rules = DE
     def moved(path: Tensor, rows: Tensor) -> Tensor:
         return gaussian_mean(model.transition(path[:, rows - 1], rows))
 
-    if model.jumping is not None or model.effects.hinge is None:
+    if model.contact_states is not None or model.effects.hinge is None:
         path = settled(model, path)
         return path, moved(path, rows)
 

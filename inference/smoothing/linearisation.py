@@ -146,8 +146,8 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
 
     The emission's are those of its mean; empty, (…, T, 0, D), unless ``by_mean``.
 
-    Central ones, of an error of ``NUDGE``²; one-sided ones from ``ONE_SIDED_FROM`` states on, and with ``jumping``
-    states, which lie at stops.
+    Central ones, of an error of ``NUDGE``²; one-sided ones from ``ONE_SIDED_FROM`` states on, and with
+    ``contact_states``, which lie at stops.
     """
     rows = torch.arange(path.shape[-2])
     nudges, central = nudges_of(model)
@@ -159,7 +159,7 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
     H = path.new_zeros(*path.shape[:-1], 0, path.shape[-1])
     if by_mean:
         H = differences(lambda x: emission_mean(model, x, rows), path, nudges, independent, shown, central)[1]
-    if model.jumping is not None:
+    if model.contact_states is not None:
         nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
     return differences(transition, path[..., :-1, :], nudges, independent, independent, central)[1], H
 

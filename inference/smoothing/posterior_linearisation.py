@@ -44,10 +44,10 @@ def posterior_linearisation(
 
     A fixed-point iteration, kept up only while it contracts: where the posterior is very wide a pass
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
-    with jumping states (:attr:`.StateSpaceModel.jumping`) is left as it is linearised: no line fits their jumps.
+    with contact states (:attr:`.StateSpaceModel.contact_states`) is left as it is linearised: no line fits their jumps.
     """
     observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
-    if model.jumping is not None:
+    if model.contact_states is not None:
         return smoother
     model = model.to(dtype=torch.float64, device="cpu")
     observations = observations.detach().cpu().double()

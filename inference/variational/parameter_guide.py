@@ -33,7 +33,7 @@ class Uncertain(StateSpaceModel):
         model = parameters.model
         super().__init__(model.parameters)
         self.state_dim, self.observation_dim = model.state_dim, model.observation_dim
-        self.num_steps, self.jumping = model.num_steps, model.jumping
+        self.num_steps, self.contact_states = model.num_steps, model.contact_states
         self.log_parameters, self.centre, self.root = parameters, centre, root
         inverse = torch.linalg.inv(root)
         scaled = inverse * torch.as_tensor(parameters.sd)

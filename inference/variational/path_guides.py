@@ -16,7 +16,7 @@ Both start at the Gaussian smoother, and their means move in its whitened coordi
 
 (S: the smoother's sds), so that one learning rate suits angles known to a millionth and torques in N·m.
 
-``guide()`` samples the whole path at one site, which fits :func:`.path_bound.path_model`.
+``guide()`` samples the whole path at one site, which fits :func:`..methods.svi.path_model`.
 """
 
 from collections.abc import Sequence

@@ -346,11 +346,11 @@ class ArmModel(StateSpaceModel):
         drive = self.drive.driven_by(time, torque, self.time)
         return self._with(drive=drive, timeline=self.timeline.known_from(time[0]))
 
-    def moving(self, speed: Tensor) -> "ArmModel":
+    def with_observed_speed(self, speed: Tensor) -> "ArmModel":
         """The model of a body whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""
         return self._with(experience=replace(self.experience, motion=speed.detach().cpu().double()))
 
-    def turning(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
+    def with_observed_range(self, lowest: Tensor, highest: Tensor) -> "ArmModel":
         """The model of a body whose joints turn between two angles (K,) rad, where effects are looked for."""
         turned = torch.stack([lowest, highest], -1).detach().cpu().double()
         return self._with(experience=replace(self.experience, range=turned))
@@ -377,7 +377,7 @@ class ArmModel(StateSpaceModel):
         return ([first + state for state in own], shown) if own else None
 
     @property
-    def jumping(self) -> slice | None:  # type: ignore[override]  # its effects say
+    def contact_states(self) -> slice | None:  # type: ignore[override]  # its effects say
         """A gap's state follows from the joints' motion: it jumps where contact is made, and no slope tells when."""
         hinge = self.effects.hinge
         return slice(self.torque_size, self.torque_size + hinge.states) if hinge and hinge.forgets else None

@@ -56,9 +56,9 @@ KEYS = {
 class Source:
     """A track and what makes SI units of its values: (value − origin) · factor + offset.
 
-    `unit` is the declared one, if any. `gear` is part of the factor already; `ranged`: a range is as well. The track's
-    values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before. `feedforward`:
-    a torque that a controller adds to its servo's.
+    `unit` is the declared one, if any. `gear` is part of the factor already, as a range is. The
+    track's values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before.
+    `feedforward`: a torque that a controller adds to its servo's.
     """
 
     track: str
@@ -67,7 +67,6 @@ class Source:
     unit: str | None = None
     origin: float = 0.0
     gear: float = 1.0
-    ranged: bool = False
     wrap: float = 0.0
     feedforward: bool = False
 
@@ -233,8 +232,7 @@ def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
     if not isinstance(forward := table.get("feedforward", False), bool):
         raise InputError(f"{where}: expected feedforward as true or false, got {forward!r:.40}")
     zero = float(numbers.get("zero", numbers.get("offset", 0.0)))
-    ranged = "range" in table
-    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, ranged, float(wrap), forward)
+    return Source(table["track"], float(factor), zero, table.get("unit"), origin, gear, float(wrap), forward)
 
 
 def _of_range(table: dict[str, Any], where: str, folder: Path) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from invdyn.diagnosis import save
 from invdyn.inference import save_posterior
 from invdyn.plots import quantiles
 from invdyn.recordings import InputError
-from invdyn.view import MAX_ROWS, of_posterior, view_of, write_view
+from invdyn.view import MAX_ROWS, of_posterior, view_of
 
 WIDTHS = (1280, 390)
 
@@ -47,7 +47,7 @@ def in_space(idata):
 
 def page_of(idata, folder):
     save_posterior(idata, folder / "posterior.nc")
-    write_view(folder / "posterior.nc", folder / "page.html")
+    (folder / "page.html").write_text(view_of(folder / "posterior.nc").html(), "utf-8")
     return folder / "page.html"
 
 
@@ -189,7 +189,7 @@ def test_a_body_in_space_turns(browser, make_posterior, tmp_path):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_diagnosis_before_and_after(browser, found, tmp_path, width):
-    write_view(found, tmp_path / "page.html")
+    (tmp_path / "page.html").write_text(view_of(found).html(), "utf-8")
     opened(browser, tmp_path / "page.html", width)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     assert "viscous friction" in browser.find_element("tag name", "h1").text
@@ -260,7 +260,7 @@ def study(tmp_path):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_study_by_condition_aligned(browser, study, tmp_path, width):
-    write_view(study, tmp_path / "page.html", "touch")
+    (tmp_path / "page.html").write_text(view_of(study, "touch").html(), "utf-8")
     opened(browser, tmp_path / "page.html", width)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     assert browser.find_element("tag name", "h1").text == "Torques of 4 trials by condition"
@@ -296,7 +296,7 @@ def test_a_study_is_aligned_at_an_event_of_its_own(study):
 @pytest.mark.long
 def test_a_real_diagnosis(browser, tmp_path):
     save(diagnosed(), tmp_path)
-    write_view(tmp_path, tmp_path / "page.html")
+    (tmp_path / "page.html").write_text(view_of(tmp_path).html(), "utf-8")
     opened(browser, tmp_path / "page.html", 390)
     assert "viscous friction" in browser.find_element("tag name", "h1").text
     assert len(browser.find_elements("css selector", ".chart canvas")) == 3

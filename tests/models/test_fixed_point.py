@@ -35,7 +35,7 @@ def rolled(model):
 
 def forgotten(model, path):
     path = path.clone()
-    path[..., 1:, model.jumping] = 0.0
+    path[..., 1:, model.contact_states] = 0.0
     return path
 
 
@@ -58,21 +58,21 @@ def calls(monkeypatch):
 def test_a_gap_is_where_the_motion_drives_it(width):
     model = with_play(width)
     path = rolled(model)
-    gap = path[:, model.jumping][:, 0]
+    gap = path[:, model.contact_states][:, 0]
     assert (gap > 0.45 * width).sum() > 10 < (gap < -0.45 * width).sum()
     unknown = forgotten(model, path)
     torch.testing.assert_close(settled(model, unknown), path, rtol=1e-9, atol=1e-9)
-    assert not unknown[1:, model.jumping].any()
+    assert not unknown[1:, model.contact_states].any()
 
 
 def test_what_lies_at_a_stop_lies_there_to_the_bit():
     model = with_play(0.16)
     path = rolled(model)
-    at_stop = path[:, model.jumping][:, 0].abs() == 0.08
+    at_stop = path[:, model.contact_states][:, 0].abs() == 0.08
     assert at_stop.sum() > 30
     found = settled(model, forgotten(model, path))
-    assert torch.equal(found[:, model.jumping][:, 0].abs() == 0.08, at_stop)
-    assert torch.equal(found[at_stop][:, model.jumping], path[at_stop][:, model.jumping])
+    assert torch.equal(found[:, model.contact_states][:, 0].abs() == 0.08, at_stop)
+    assert torch.equal(found[at_stop][:, model.contact_states], path[at_stop][:, model.contact_states])
 
 
 def test_what_is_settled_stays_to_the_bit():
@@ -115,7 +115,7 @@ def test_a_path_that_runs_away_ends(calls):
     model = with_play(0.16)
     path = forgotten(model, rolled(model))
     path[100:, -1] = torch.nan
-    assert settled(model, path)[101:, model.jumping].isnan().all()
+    assert settled(model, path)[101:, model.contact_states].isnan().all()
     assert len(calls) <= LEAPS + PASSES + 1
 
 
@@ -123,5 +123,5 @@ def test_only_a_gap_is_driven():
     arm = random_arm(ARM, duration=0.2, fps=100, commanded=True, seed=1)
     springy = arm.with_effects(EFFECTS["link_flexibility"]("forearm"))
     path = torch.randn(20, springy.state_dim, dtype=torch.float64)
-    assert springy.jumping is None
+    assert springy.contact_states is None
     assert settled(springy, path) is path

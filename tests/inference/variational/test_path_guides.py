@@ -10,9 +10,8 @@ from pyro.infer import SVI, Trace_ELBO
 from pyro.infer.autoguide import AutoNormal, init_to_value
 
 from invdyn.inference import gauss_newton
-from invdyn.inference.methods.svi import GUIDES
+from invdyn.inference.methods.svi import GUIDES, bound, maximise, path_model
 from invdyn.inference.smoothing.gaussian_chain import GaussianChain
-from invdyn.inference.variational.path_bound import bound, maximise, path_model
 from invdyn.inference.variational.path_guides import Markov, MeanField
 from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
 

@@ -75,7 +75,7 @@ def test_a_stop_is_looked_for_short_of_the_farthest_angle(side, sign, farthest):
     """And the closer to it the denser: no stop gives way much."""
     ideal = rod()
     stop = JointLimit("hinge", side).bound(ideal.body)
-    seen = ideal.turning(torch.tensor([-1.3], dtype=F64), torch.tensor([0.7], dtype=F64))
+    seen = ideal.with_observed_range(torch.tensor([-1.3], dtype=F64), torch.tensor([0.7], dtype=F64))
     (angle,) = (p for p in stop.parameters(seen.scale) if p.name == "angle")
     depth = sign * (farthest - np.array(angle.grid))
     assert depth.min() == pytest.approx(0.01)
