@@ -17,7 +17,7 @@ import numpy as np
 
 from invdyn.diagnosis.check.check import Check, check
 from invdyn.inputs import load_body, read_logs
-from invdyn.recordings import write_table
+from invdyn.recordings import InputError, write_table
 
 STEP = 0.002  # s of MuJoCo
 
@@ -46,6 +46,11 @@ class Robot:
     @property
     def joints(self) -> tuple[str, ...]:
         return tuple(f"j{k}" for k in range(len(self.axes)))
+
+    @property
+    def turning(self) -> np.ndarray:
+        """(K,) whether a joint is a hinge."""
+        return np.array([not (self.slide and k == 0) for k in range(len(self.axes))])
 
     @property
     def heavy(self) -> tuple[int, ...]:
@@ -126,14 +131,13 @@ ROBOTS = (
 
 @dataclass(frozen=True)
 class Log:
-    """Columns by name, the keys of each joint's line in the map, the rows' times, and the file's text."""
+    """Times (T,), angles and commands (T, K) of a log, the file's text, and what the map says of a column."""
 
     time: np.ndarray
     angle: np.ndarray
     command: np.ndarray
     file: str
-    lines: str = ""
-    unit: float = 1.0
+    source: str = '"{track}"'
 
 
 def played(robot: Robot, seed: int, seconds: float = 12.0) -> Log:
@@ -184,10 +188,12 @@ def checked(robot: Robot, log: Log, folder: Path) -> Check:
     """What `invdyn check` says of a log, as files."""
     kind = "target" if robot.servo else "torque"
     columns: dict[str, Any] = {"time": log.time}
-    lines = log.lines
+    lines = ""
     for k, joint in enumerate(robot.joints):
         columns |= {f"q{k}": log.angle[:, k], f"u{k}": log.command[:, k]}
-        lines += f'[joints.{joint}]\nangle = "q{k}"\n{kind} = "u{k}"\n'
+        of = log.source if robot.turning[k] else Log.source
+        given = (of if robot.servo else Log.source).format(track=f"u{k}", k=k)
+        lines += f"[joints.{joint}]\nangle = {of.format(track=f'q{k}', k=k)}\n{kind} = {given}\n"
     (folder / "robot.xml").write_text(log.file)
     (folder / "map.toml").write_text(lines)
     write_table(columns, folder / "log.csv")
@@ -196,6 +202,8 @@ def checked(robot: Robot, log: Log, folder: Path) -> Check:
     return check(reading, body, effects=False)
 
 
+DEGREES = '{{track = "{track}", unit = "deg"}}'
+COUNTS = '{{track = "{track}", range = [0, 6.283185307], ends = [0, 4096]}}'
 Spoilt = tuple[Log, tuple[int, ...] | None]
 """A log with a mistake, and the joints that have it; None where any will do."""
 
@@ -225,14 +233,40 @@ def _zero(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
     return _column(log, k, lambda v: v + off, shift), (k,)
 
 
+def _in_unit(robot: Robot, log: Log, unit: float, source: str = Log.source) -> Log:
+    """Numbers of hinges, and of their servos' targets, in another unit."""
+    factor = np.where(robot.turning, unit, 1.0)
+    command = factor * log.command if robot.servo else log.command
+    return replace(log, angle=factor * log.angle, command=command, source=source)
+
+
 def _degrees(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
-    command = np.degrees(log.command) if robot.servo else log.command
-    turns = np.array([not (robot.slide and k == 0) for k in range(len(robot.axes))])
-    return replace(log, angle=np.where(turns, np.degrees(log.angle), log.angle), command=command), None
+    return _in_unit(robot, log, 180 / np.pi), None
 
 
-def _milliseconds(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
-    return replace(log, time=log.time * 1e3), None
+def _radians(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    return replace(log, source=DEGREES), None
+
+
+def _percent(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    seen = np.concatenate([log.angle, log.command]) if robot.servo else log.angle
+    room = np.ptp(seen, axis=0) * rng.uniform(0.01, 0.4, (2, len(robot.axes)))
+    low, high = seen.min(0) - room[0], seen.max(0) + room[1]
+    angle, command = (-100 + 200 * (each - low) / (high - low) for each in (log.angle, log.command))
+    return replace(log, angle=angle, command=command if robot.servo else log.command), None
+
+
+def _time_unit(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    return replace(log, time=log.time * float(rng.choice([1e3, 1e6, 1e9]))), None
+
+
+def _first_stamp(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    return replace(log, time=np.append(0.0, 1.7e9 + log.time[1:])), None
+
+
+def _two_clocks(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    rows = np.arange(len(log.time)) >= rng.integers(10, len(log.time) - 10)
+    return replace(log, time=log.time + 1.7e9 * rows), None
 
 
 def _exchanged(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
@@ -242,9 +276,37 @@ def _exchanged(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
     return replace(log, angle=log.angle[:, order], command=log.command[:, order]), (one, other)
 
 
+def _columns(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    whole, joints = _exchanged(rng, robot, log)
+    return (replace(whole, angle=log.angle) if rng.random() < 0.5 else replace(whole, command=log.command)), joints
+
+
+def _angle_sign(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    k = int(rng.choice(robot.heavy))
+    return _column(log, k, np.negative), (k,)
+
+
 def _gear(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
     k, by = int(rng.choice(robot.heavy)), np.exp(rng.uniform(np.log(5), np.log(160)))
     return _column(log, k, command=lambda v: v / by), (k,)
+
+
+def _torque_unit(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    return replace(log, command=log.command * float(rng.choice([1e3, 1 / 0.0980665]))), None
+
+
+def _target_gear(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    k, gear = int(rng.integers(len(robot.axes))), float(rng.choice([-3, -1, 2, 5]))
+    spec = mujoco.MjSpec.from_string(log.file)
+    motor = spec.actuator(f"m{k}")
+    motor.gear[0], motor.gainprm, motor.biasprm = gear, motor.gainprm / gear**2, motor.biasprm / gear**2
+    spec.compile()
+    return replace(_column(log, k, command=lambda v: gear * v), file=spec.to_xml()), (k,)
+
+
+def _thinned(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
+    period = int(rng.integers(4, 9)) * robot.hold
+    return replace(log, command=log.command[np.arange(len(log.time)) // period * period]), None
 
 
 def _offset(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
@@ -274,7 +336,9 @@ def _stray(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
 
 def _wrapped(rng: np.random.Generator, robot: Robot, log: Log) -> Spoilt:
     k = int(rng.choice(robot.heavy))
-    modulus, middle = 2 * np.pi, float(rng.uniform(*np.quantile(log.angle[:, k], [0.3, 0.7])))
+    modulus, source = ((2 * np.pi, Log.source), (360.0, DEGREES), (4096.0, COUNTS))[rng.integers(3)]
+    log = _in_unit(robot, log, modulus / (2 * np.pi), source)
+    middle = float(rng.uniform(*np.quantile(log.angle[:, k], [0.3, 0.7])))
     return _column(log, k, lambda v: (v - middle) % modulus + middle), (k,)
 
 
@@ -293,9 +357,18 @@ MISTAKES: dict[str, tuple[str, Callable[[np.random.Generator, Robot, Log], Spoil
     "direction": ("direction", _direction),
     "zero": ("zero", _zero),
     "degrees": ("degrees", _degrees),
-    "milliseconds": ("time", _milliseconds),
+    "radians": ("radians", _radians),
+    "percent": ("percent", _percent),
+    "unit of time": ("time", _time_unit),
+    "first stamp": ("clocks", _first_stamp),
+    "two clocks": ("clocks", _two_clocks),
     "exchanged": ("exchanged", _exchanged),
+    "half exchanged": ("exchanged", _columns),
+    "angle sign": ("angle sign", _angle_sign),
     "gear": ("scale", _gear),
+    "unit of torque": ("scale", _torque_unit),
+    "target's gear": ("gear", _target_gear),
+    "thinned targets": ("rare", _thinned),
     "offset": ("offset", _offset),
     "delay": ("delay", _delay),
     "drift": ("drift", _drift),
@@ -307,11 +380,16 @@ MISTAKES: dict[str, tuple[str, Callable[[np.random.Generator, Robot, Log], Spoil
 """What is done to a log, and what `check` calls it."""
 ONLY: dict[str, Callable[[Robot], bool]] = {
     "exchanged": lambda robot: len(robot.heavy) > 1,
+    "half exchanged": lambda robot: len(robot.heavy) > 1,
     "servo gain": lambda robot: robot.servo > 0,
+    "target's gear": lambda robot: robot.servo > 0,
+    "thinned targets": lambda robot: robot.servo > 0,
     "zero": lambda robot: bool(robot.heavy) and not robot.servo,
     "torque sign": lambda robot: bool(robot.heavy) and not robot.servo,
     "gear": lambda robot: bool(robot.heavy) and not robot.servo,
     "offset": lambda robot: bool(robot.heavy) and not robot.servo,
+    "unit of torque": lambda robot: not robot.servo,
+    "angle sign": lambda robot: bool(robot.heavy),
     "direction": lambda robot: bool(robot.heavy),
     "wrapped": lambda robot: bool(robot.heavy),
 }
@@ -329,12 +407,20 @@ def answered(seed: int, kind: str, number: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         start = clock.process_time()
-        found = checked(robot, log, Path(folder))
+        try:
+            found = checked(robot, log, Path(folder))
+        except InputError as error:
+            return {
+                "answer": "right" if called == "clocks" and "one clock" in str(error) else f"{error} of {robot.name}",
+                "joints": len(robot.axes),
+                "seconds": clock.process_time() - start,
+            }
         seconds = clock.process_time() - start
     first = found.mistakes[0] if found.mistakes else None
     said = "none" if first is None else first.kind
     # numbers within a hundred are said to be degrees or shares of a range, unless torques tell which
-    said = "degrees" if first is not None and said == "percent" and "degrees" in first.sentence else said
+    twin = called == "degrees" and first is not None and said == "percent" and "degrees" in first.sentence
+    said = "degrees" if twin else said
     right = said == called and (
         joints is None or first is None or first.joints == tuple(robot.joints[k] for k in joints)
     )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from invdyn.diagnosis.check.command_times import late_commands
+from invdyn.diagnosis.check.command_times import between, late_commands
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
 from invdyn.diagnosis.check.mistakes import Found, Mistake, find, fixed, gears, left_by, units
 from invdyn.diagnosis.check.rows import wrong_rows
@@ -232,11 +232,14 @@ def _motion(reading: Reading, fit: TorqueFit, rules: Rules) -> Motion | None:
     if reading.units.mapping is not None and (terms := every[0].terms) is not None:
         known += gears(terms, reading.units.mapping, rules)
 
-    def best(motion: Motion) -> float:
-        own = (fit.explain(each).misfit for each in (motion, as_large(fit.dynamics, body, motion)))
-        return min(*own, *(left_by(mistake, fit, motion) for mistake in known))
+    rare = between(*_commands(reading.recording, body))
 
-    return every[int(np.argmin([best(motion) for motion in few]))]
+    def best(motion: Motion, whole: Motion) -> float:
+        tried = [motion, as_large(fit.dynamics, body, motion)]
+        tried += [] if rare is None else [whole.recommanded(rare[1]).thinned(rules.check.scan_rows)]
+        return min(*(fit.explain(each).misfit for each in tried), *(left_by(each, fit, motion) for each in known))
+
+    return every[int(np.argmin([best(*each) for each in zip(few, every, strict=True)]))]
 
 
 def _in_words(mistake: Mistake, joints: Sequence[str], found: Found | None = None) -> Wrong:

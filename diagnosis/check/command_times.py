@@ -96,10 +96,11 @@ def late_commands(
         if share(taken, righted.required, group) > limits.max_damping_share:
             continue
         before = share(fit.left_by_values(motion, righted.values), righted.required, group)
-        worth.append((righted.misfit, LateCommands(kind, group, words, turn, value, before, after, given)))
-    most = limits.equal_misfit * min((misfit for misfit, _ in worth), default=0.0)
+        worth.append(LateCommands(kind, group, words, turn, value, before, after, given))
+    # in what is required of the joints: a weak one, whose torque no remedy explains, has its own unit in the misfit
+    most = limits.equal_misfit * min((late.after for late in worth), default=0.0)
     # a delay has one number, and a drift two
-    return next((late for misfit, late in worth if misfit <= most), None)
+    return next((late for late in worth if late.after <= most), None)
 
 
 def _both_ways(rows: Sequence[int], step: float, time: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ def test_a_right_log_is_accused_of_nothing(name):
     assert ROBOTS.answered(SEED, "none", CLEAN[name])["answer"] == "right"
 
 
-@pytest.mark.quick("drift", "stray", "gear")
+@pytest.mark.quick("drift", "stray", "gear", "first stamp")
 @pytest.mark.parametrize("kind", ROBOTS.MISTAKES)
 def test_a_mistake_is_named_first(kind):
     assert ROBOTS.answered(SEED, kind, 0)["answer"] == "right"
