@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import torch
-from torch.distributions import Distribution
 
 from invdyn.inference.probe import Probe
 from invdyn.models.state_space import gaussian_moments
@@ -12,10 +11,6 @@ SAME = 1e-6
 """Relative difference up to which two covariances are equal."""
 
 NO_DENSITY = 'use genealogy, or SMCOptions(smoothing="genealogy"), which needs none, or give every state noise'
-
-
-def _base(found: Distribution) -> Distribution:
-    return getattr(found, "base_dist", found)
 
 
 def _continuous_state(probe: Probe) -> None:
@@ -33,7 +28,10 @@ def _gaussian_transition(probe: Probe) -> None:
         try:
             gaussian_moments(distribution)
         except TypeError:
-            expected, got = "Normal(…).to_event(1) or MultivariateNormal", type(_base(distribution)).__name__
+            expected, got = (
+                "Normal(…).to_event(1) or MultivariateNormal",
+                type(getattr(distribution, "base_dist", distribution)).__name__,
+            )
             raise probe.error(method, expected, got, "use the bootstrap guide") from None
 
 

@@ -86,17 +86,14 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
     periods = {k: p for k, v in enumerate(angles.T) if (p := _period(v, rules)) > 1}
     for period in dict.fromkeys(periods.values()):
         joints = tuple(k for k, p in periods.items() if p == period)
-        words = f"the angles are new in every {_ordinal(period)} row alone, and repeated between"
+        which = {2: "second", 3: "third"}.get(period, f"{period}th")
+        words = f"the angles are new in every {which} row alone, and repeated between"
         found.append(RowMistake("held", joints, words, "leave the repeats empty", float(period)))
     for k in periods:
         seen = np.flatnonzero(np.isfinite(angles[:, k]))
         repeats = seen[1:][np.diff(angles[seen, k]) == 0]
         angles[repeats, k] = np.nan
     return found, replace(recording, angles=angles, torques=torques) if found else recording
-
-
-def _ordinal(number: int) -> str:
-    return {2: "second", 3: "third"}.get(number, f"{number}th")
 
 
 def _before(rows: np.ndarray) -> np.ndarray:

@@ -20,11 +20,13 @@ import os
 import re
 import secrets
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -210,3 +212,29 @@ def _safetensors() -> ModuleType:
     except ImportError:
         raise InputError("checkpoints need one more package: pip install 'invdyn[checkpoint]'") from None
     return safetensors.torch
+
+
+def flattened(record: Any, prefix: str = "") -> dict[str, Tensor]:
+    """The arrays and tensors of a dataclass, and of those in it, by dotted name."""
+    tensors: dict[str, Tensor] = {}
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if is_dataclass(value):
+            tensors |= flattened(value, f"{prefix}{field.name}.")
+        elif value is not None:
+            tensors[prefix + field.name] = torch.as_tensor(np.asarray(value))
+    return tensors
+
+
+def unflattened(kind: Any, tensors: dict[str, Tensor], prefix: str = "") -> Any:
+    """The dataclass of which :func:`flattened` is ``tensors``."""
+    values: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        if is_dataclass(hint):
+            values[name] = unflattened(hint, tensors, f"{prefix}{name}.")
+        elif prefix + name not in tensors:
+            values[name] = None
+        else:
+            value = tensors[prefix + name]
+            values[name] = value if torch.Tensor in (hint, *get_args(hint)) else value.numpy()[()]
+    return kind(**values)

@@ -25,8 +25,8 @@ from typing import Any
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.execution.checkpoint import flattened, unflattened
 from invdyn.inference.execution.distribute import Tensors
-from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
 from invdyn.inference.filters.moment_matching import exact_closed_form, moment_matched

@@ -6,7 +6,7 @@
 Each axis of a CustomJoint moves by a function of a coordinate: q, −q, either with an offset, or a constant. Pin,
 slider, universal, ball, gimbal, planar and free joints are the same with fixed axes. Locked coordinates stand where the
 file puts them. So does what another coordinate moves by a curve, such as the shift of a knee: it is fixed at the
-coordinate's default and named, as muscles, constraints and wrapping surfaces are (:mod:`.osim_left_out`).
+coordinate's default and named, as muscles, constraints and wrapping surfaces are.
 
 Coordinates keep their names, zeros and signs, so that angles of a .mot fit as they are. OpenSim's ground has y up and
 ours z: all is rotated by (x, y, z) ↦ (x, −z, y), as markers of a .trc are. Markers are the sites.
@@ -14,7 +14,7 @@ ours z: all is rotated by (x, y, z) ↦ (x, −z, y), as markers of a .trc are. 
 https://simtk.org/api_docs/opensim/api_docs/classOpenSim_1_1CustomJoint.html
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
@@ -23,8 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from invdyn.models.bodies import body_xml
 from invdyn.models.bodies.osim_functions import numbers, unwrapped, value
-from invdyn.models.bodies.osim_left_out import named
-from invdyn.models.bodies.parts import Part, PartJoint, Robot
+from invdyn.models.bodies.parts import Part, PartJoint, Robot, listed
 from invdyn.models.bodies.scalars import BodyError
 
 Frame = tuple[np.ndarray, np.ndarray]
@@ -43,6 +42,7 @@ PLAIN: dict[str, tuple[list[np.ndarray], list[np.ndarray]]] = {
     "WeldJoint": ([], []),
 }
 """Axes of rotations and of shifts of a joint's coordinates, in the file's order: rotations first."""
+OTHERS = {"constraints": "ConstraintSet", "controllers": "ControllerSet", "contact surfaces": "ContactGeometrySet"}
 
 
 @dataclass
@@ -224,3 +224,29 @@ def _inverse(frame: Frame) -> Frame:
 
 def _default(coordinate: Element, where: str) -> float:
     return float(numbers(coordinate, "default_value", where, "0")[0])
+
+
+def named(model: Element, coupled: Sequence[str], unplaced: Sequence[str] = ()) -> list[str]:
+    """Entries of what is left out of a <Model>: ``coupled`` are movements that follow another one by a curve.
+
+    ``unplaced`` are markers on the ground, or on a frame of their own.
+    """
+    forces = model.findall("ForceSet/objects/*")
+    muscles = [each for each in forces if each.tag.endswith("Muscle")]
+    rest = [each for each in forces if each not in muscles]
+    moves = [each for each in model.iter("Coordinate") if (each.findtext("prescribed") or "").strip() == "true"]
+    limits = [each for each in model.iter("Coordinate") if (each.findtext("clamped") or "").strip() == "true"]
+    return [
+        *listed("movements that follow another, held where the model has them by default", coupled),
+        *listed("markers on no body", unplaced),
+        *listed("muscles", _names(muscles)),
+        *listed("other forces", _names(rest)),
+        *(entry for words, tag in OTHERS.items() for entry in listed(words, _names(model.findall(f"{tag}/objects/*")))),
+        *listed("wrapping surfaces", _names(model.findall(".//WrapObjectSet/objects/*"))),
+        *listed("prescribed motions", _names(moves)),
+        *listed("limits", _names(limits)),
+    ]
+
+
+def _names(elements: Sequence[Element]) -> list[str]:
+    return [each.get("name", each.tag) for each in elements]

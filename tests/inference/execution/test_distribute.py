@@ -13,10 +13,9 @@ import pytest
 import torch
 
 from invdyn.inference import SMCOptions, arm_problem, compare, gaussian_smoother, infer
-from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.checkpoint import Checkpoint, flattened, unflattened
 from invdyn.inference.execution.distribute import RETRIES, LostWork, distribute
 from invdyn.inference.execution.executors import open_executor
-from invdyn.inference.execution.records import flattened, unflattened
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.methods.registry import smc
 from invdyn.models import Link, planar_body
