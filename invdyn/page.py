@@ -25,6 +25,8 @@ from invdyn.recordings import InputError, atomic_path
 from .plots import usual_range
 
 ASSETS = Path(__file__).parent / "view_page"
+SMALL = 0.01
+"""Of a unit: below it a panel's numbers are in thousandths."""
 
 
 @dataclass
@@ -74,31 +76,34 @@ class View:
     ) -> None:
         """Add the curves of a joint.
 
+        Numbers are in ``unit``; the page shows small ones in thousandths or millionths of it.
         Each side has a name, a style, and `low`, `middle`, `high` (T,), of a posterior also `lower` and `upper`.
         ``trials`` are pale, each of a style. ``more`` curves are `truth`, `command` and `dots`.
         """
         own = {name: values for name, values in more.items() if values is not None and np.isfinite(values).any()}
         curves = [side[each] for side in sides for each in ("low", "middle", "high")]
         shown = usual_range(np.concatenate([*curves, *own.values()])) or (-1.0, 1.0)
-        label = f"{group} of {joint} over time, {unit}: {'; '.join(map(self._in_words, sides))}"
+        factor, unit = with_prefix(unit, max(map(abs, shown)))
+        words = "; ".join(self._in_words(side, factor) for side in sides)
+        label = f"{group} of {joint} over time, {unit}: {words}"
         joints, groups = ([each[key] for each in self.panels] for key in ("joint", "group"))
         row, column = (list(dict.fromkeys(names)).index(names[-1]) for names in ([*joints, joint], [*groups, group]))
         every = [{k: v if isinstance(v, str) else rounded(v, shown) for k, v in side.items()} for side in sides]
         kept = {name: rounded(values, shown) for name, values in own.items()}
         self.panels.append(
             {"id": len(self.panels), "group": group, "joint": joint, "unit": unit, "label": label, "range": shown}
-            | {"sides": every, "row": row, "column": 1 + column, **kept}
+            | {"factor": factor, "sides": every, "row": row, "column": 1 + column, **kept}
             | {"trials": [{"style": style, "values": rounded(values, shown)} for style, values in trials]}
         )
 
-    def _in_words(self, side: dict[str, Any]) -> str:
-        middle = side["middle"]
+    def _in_words(self, side: dict[str, Any], factor: float) -> str:
+        low, middle, high = (factor * side[each] for each in ("low", "middle", "high"))
         if not np.isfinite(middle).any():
             return f"{side['name']}: not known"
         least, most = (
             f"{middle[at]:.3g} at {self.time[at]:.2f} s" for at in (np.nanargmin(middle), np.nanargmax(middle))
         )
-        half = 0.5 * float(np.nanmedian(side["high"] - side["low"]))
+        half = 0.5 * float(np.nanmedian(high - low))
         return f"{side['name']} from {least} to {most}, give or take {half:.2g} (90 %)"
 
     def legend(self, group: str) -> list[tuple[str, str]]:
@@ -162,6 +167,13 @@ class View:
                 digest=digest(script),
             )
         )
+
+
+def with_prefix(unit: str, largest: float) -> tuple[float, str]:
+    """By what to multiply numbers up to ``largest``, so that few begin with zeros, and the unit that they then have."""
+    if unit in ("N·m", "N", "m") and 0 < largest < SMALL:
+        return (1e3, f"m{unit}") if largest >= 1e-3 * SMALL else (1e6, f"µ{unit}")
+    return 1.0, unit
 
 
 def rounded(values: np.ndarray, span: tuple[float, float]) -> Any:

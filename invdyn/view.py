@@ -32,6 +32,10 @@ MAX_ROWS = 2000
 DRAWS = 8
 """Posterior draws of the body, pale."""
 DIAGNOSIS = "diagnosis.json"
+ASIDE = ("left_out", "in_doubt")
+"""Tables of a study's trials that do not count, or may be wrong."""
+SENTENCES = 3
+"""Of such trials, above all else; their tables have all of them."""
 STYLES = ("after", "before", "third", "fourth")
 """Of a study's levels."""
 
@@ -168,13 +172,15 @@ def _of_study(folder: Path, align: str | None) -> View:
     levels = sorted(averages[factor].unique())
     styles = dict(zip(levels, STYLES * len(levels), strict=False))
     time = np.unique(averages["time"])
-    left_out = pd.read_csv(folder / "left_out.csv", dtype=str, keep_default_na=False)
+    left_out, in_doubt = (pd.read_csv(folder / f"{name}.csv", dtype=str, keep_default_na=False) for name in ASIDE)
     doubts = [f"{each.trial} is left out: {each.reason}" for each in left_out.itertuples()]
-    in_doubt = pd.read_csv(folder / "in_doubt.csv", dtype=str, keep_default_na=False)
     doubts += [f"{each.trial}: {each.doubt}" for each in in_doubt.itertuples()]
+    if (more := len(doubts) - SENTENCES) > 1:
+        doubts[SENTENCES:] = [f"{more} more, in the tables at the end of this page"]
     curves = _aligned([path for path in files if path.suffix == ".nc"], event, factor, time)
+    count = averages.groupby(factor)["trials"].max().sum()
     view = View(
-        title=f"Torques of {averages.groupby(factor)['trials'].max().sum()} trials by {factor}",
+        title=f"Torques of {count} trials by {factor}" if len(levels) > 1 else f"Torques of {count} trials",
         kicker=f"Study {folder.name}, trials aligned at {event}",
         time=time,
         unit="",
@@ -199,10 +205,11 @@ def _of_study(folder: Path, align: str | None) -> View:
             sides.append(side | {name: rows[column].to_numpy() for name, column in named.items()})
         trials = [(styles[level], each) for level, each in curves.get(joint, ()) if level in styles]
         view.panel("torque", joint, str(own["unit"].iloc[0]), sides, trials)
-    for path in sorted(path for path in files if path.match("differences*.csv")):
+    for path in sorted(path for path in files if path.match("differences*.csv") or path.stem in ASIDE):
         table = pd.read_csv(path, keep_default_na=False)
         cells = table.map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell))
-        view.tables[path.stem.replace("_", " ").capitalize()] = [list(table.columns), *cells.values.tolist()]
+        if len(table):
+            view.tables[path.stem.replace("_", " ").capitalize()] = [list(table.columns), *cells.values.tolist()]
     return view
 
 

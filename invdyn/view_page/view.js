@@ -12,14 +12,16 @@
 
   // Numbers and words
   const short = (value) => (value === null ? "–" : Number(value.toPrecision(3)).toString().replace("-", "−"));
-  const interval = ({ low, middle, high }, at) => {  // two digits of the interval's width
+  const fixed = (value, digits) => Number(value.toFixed(digits)).toFixed(digits).replace("-", "−");  // no −0
+  const interval = ({ low, middle, high }, at, factor) => {  // two digits of the interval's width
     if (middle[at] === null) return "–";
-    if (low[at] === high[at]) return short(middle[at]);
-    const digits = Math.min(Math.max(1 - Math.floor(Math.log10(high[at] - low[at])), 0), 6);
-    const [m, l, h] = [middle, low, high].map((each) => (Number(each[at].toFixed(digits)) || 0).toFixed(digits).replace("-", "−"));
+    const own = [middle, low, high].map((each) => factor * each[at]);
+    if (low[at] === high[at]) return short(own[0]);
+    const digits = Math.min(Math.max(1 - Math.floor(Math.log10(own[2] - own[1])), 0), 6);
+    const [m, l, h] = own.map((each) => fixed(each, digits));
     return `${m} [${l}, ${h}]`;
   };
-  const clocked = (at) => `${time[at].toFixed(2)} s`;
+  const clocked = (at) => `${fixed(time[at], 2)} s`;
 
   // The body, as seen from yaw (about the vertical axis) and pitch, rad
   function seen([x, y, z]) {
@@ -112,11 +114,17 @@
       const chart = new uPlot({
         width: element.clientWidth, height: HEIGHT, padding: [8, 12, 0, 0], pxAlign: 0, legend: { show: false }, cursor: { show: false }, series, bands,
         scales: { x: { time: false }, y: { range: panel.range } },
-        axes: [{ ...axis, size: 30 }, { ...axis, size: 56, label: panel.unit, labelSize: 18, values: (_, ticks) => ticks.map(short) }],
+        axes: [
+          { ...axis, size: 30, space: 72, values: (_, ticks) => ticks.map((tick) => `${String(Number(tick.toFixed(6))).replace("-", "−")} s`) },
+          { ...axis, size: 56, label: panel.unit, labelSize: 18, values: (_, ticks) => ticks.map((tick) => short(panel.factor * tick)) },
+        ],
       }, columns, element);
       chart.marker = document.createElement("div");
       chart.marker.className = "now";
       chart.over.append(chart.marker);
+      chart.event = document.createElement("div");
+      chart.event.className = "event";
+      if (!space) chart.over.append(chart.event);  // trials are aligned at 0
       let held = false;
       const go = (event) => {
         const at = event.clientX - chart.over.getBoundingClientRect().left;
@@ -131,7 +139,9 @@
     });
     mark();
   }
-  const mark = () => charts.forEach((chart) => { chart.marker.style.left = `${chart.valToPos(time[row], "x")}px`; });
+  const mark = () => charts.forEach((chart) => {
+    for (const [line, at] of [[chart.marker, time[row]], [chart.event, 0]]) line.style.left = `${chart.valToPos(at, "x")}px`;
+  });
   function nearest(wanted) {
     let low = 0, high = last;
     while (high - low > 1) { const middle = (low + high) >> 1; if (time[middle] <= wanted) low = middle; else high = middle; }
@@ -149,7 +159,7 @@
         const line = document.createElement("div"), mark = document.createElement("i");
         mark.style.background = `var(--${side.style})`; mark.title = side.name;
         if (panel.sides.length > 1) line.append(mark);
-        line.append(`${interval(side, row)} ${panel.unit}`);
+        line.append(`${interval(side, row, panel.factor)} ${panel.unit}`);
         if (panel.sides.length > 1) line.setAttribute("aria-label", `${side.name}: ${line.textContent}`);
         return line;
       });
@@ -219,7 +229,7 @@
     for (let at = 0; at <= last; at += every) {
       const line = table.tBodies[0].insertRow();
       cell(line, "td", time[at].toFixed(3));
-      for (const [, side] of columns) cell(line, "td", interval(side, at));
+      for (const [panel, side] of columns) cell(line, "td", interval(side, at, panel.factor));
     }
   });
 
@@ -229,5 +239,5 @@
   }).observe(document.querySelector("main"));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawCharts(); drawBody(); });
   drawCharts();
-  show(0);
+  show(nearest(0));
 })();

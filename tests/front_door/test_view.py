@@ -14,6 +14,7 @@ from reported import HOSTILE, Page, diagnosis
 
 from invdyn.diagnosis import save
 from invdyn.inference import save_posterior
+from invdyn.page import with_prefix
 from invdyn.plots import quantiles
 from invdyn.recordings import InputError
 from invdyn.view import MAX_ROWS, of_posterior, view_of
@@ -283,6 +284,51 @@ def test_a_study_s_bands_are_the_average_s_and_a_further_trial_s(study):
     side = view_of(study, "touch").panels[1]["sides"][1]
     for name, more in (("low", -2), ("lower", -1), ("middle", 0), ("upper", 1), ("high", 2)):
         np.testing.assert_allclose(side[name], np.linspace(-0.2, 0.3, 11) + 2 + more, atol=1e-3)
+
+
+def test_a_study_begins_at_its_event(browser, study, tmp_path):
+    averages = pd.read_csv(study / "averages_touch.csv", dtype={"condition": str})
+    averages["time"] -= 1e-3
+    averages.to_csv(study / "averages_touch.csv", index=False)
+    write_view(study, tmp_path / "page.html", "touch")
+    opened(browser, tmp_path / "page.html")
+    assert browser.find_element("id", "now-time").text == "0.00 s"
+    place = "return [...document.querySelectorAll('#chart-0 .now, #chart-0 .event')].map((each) => each.offsetLeft)"
+    now, event = browser.execute_script(place)
+    assert now == pytest.approx(event, abs=3)
+    assert event > 0
+    go(browser, 0)
+    assert browser.find_element("id", "now-time").text == "−0.20 s"
+    now, same = browser.execute_script(place)
+    assert now < same == event
+
+
+def test_many_trials_that_do_not_count_are_a_table(study):
+    lines = [f"t{number},1,1,reason {number}" for number in range(20)]
+    (study / "left_out.csv").write_text("\n".join(["trial,subject,session,reason", *lines]))
+    view = view_of(study, "touch")
+    assert view.doubts[2:] == ["t2 is left out: reason 2", "17 more, in the tables at the end of this page"]
+    assert view.tables["Left out"] == [["trial", "subject", "session", "reason"], *(line.split(",") for line in lines)]
+    assert "In doubt" not in view.tables
+
+
+def test_small_torques_have_a_small_unit(browser, make_posterior, tmp_path):
+    """Of a mouse: numbers of the cells, of the words and of the axis are in one unit, and the data in N·m."""
+    idata = make_posterior(2, 80)
+    for group, name in (("posterior", "torque"), ("constant_data", "truth_torque")):
+        idata[group][name] = 1e-6 * idata[group][name]
+    opened(browser, page := page_of(idata, tmp_path))
+    go(browser, 33)
+    low, _, median, _, high = 1e6 * quantiles(idata, "torque")[:, 33, 0]
+    cell = cells(browser)[0][0]
+    assert cell.endswith("µN·m")
+    np.testing.assert_allclose(value(cell), [median, low, high], atol=0.06 * (high - low))
+    panel = data_of(page)["panels"][0]
+    np.testing.assert_allclose(panel["sides"][0]["middle"][33], 1e-6 * median, rtol=1e-3)
+    most = value(re.search(r"to (\S+) at", panel["label"])[1])[0]
+    assert most == pytest.approx(1e6 * quantiles(idata, "torque")[2, :, 0].max(), rel=0.01)
+    assert with_prefix("rad", 1e-4) == (1.0, "rad")
+    assert [with_prefix("N", size) for size in (0.02, 0.002, 2e-6)] == [(1.0, "N"), (1e3, "mN"), (1e6, "µN")]
 
 
 def test_a_study_is_aligned_at_an_event_of_its_own(study):
