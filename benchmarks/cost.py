@@ -10,7 +10,7 @@ above what it was before.
     python benchmarks/cost.py                          the sweeps; a table, and docs/cost.png
     python benchmarks/cost.py --one 200 1000 64        one size: T N M, and --joints K
     python benchmarks/cost.py --one 10000 1000 64 --keep 300     and smooth the last 300 rows alone
-    python benchmarks/cost.py --long 1000 10000 100000           `invdyn infer --method laplace` of long recordings
+    python benchmarks/cost.py --long 1000 10000 100000 --torque ornstein_uhlenbeck    `infer --method laplace`
     --threads 2                                        torch's threads
 """
 
@@ -113,7 +113,7 @@ def measure(
     }
 
 
-def long_recordings(sizes: list[int]) -> None:
+def long_recordings(sizes: list[int], torque: str) -> None:
     """`invdyn infer --method laplace` in a fresh process, on recordings of so many rows: CPU seconds and memory."""
     folder = Path("build")
     folder.mkdir(exist_ok=True)
@@ -125,7 +125,7 @@ def long_recordings(sizes: list[int]) -> None:
         body = ["--body", "paper_planar_arm"]
         if not rec.exists():
             subprocess.run([*invdyn, "simulate", *body, "--out", rec, "--duration", str((rows - 0.5) / 30)], check=True)
-        command = [*invdyn, "infer", str(rec), *body, "--method", "laplace", "--out", str(out)]
+        command = [*invdyn, "infer", str(rec), *body, "--method", "laplace", "--torque", torque, "--out", str(out)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
@@ -198,9 +198,10 @@ def main() -> None:
     parser.add_argument("--refits", type=int, default=0, help="of the guide; `invdyn infer` makes 2")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--long", type=int, nargs="+", metavar="T", help="rows of recordings for `laplace`")
+    parser.add_argument("--torque", default="auto", help="process of the torques of long recordings")
     arguments = parser.parse_args()
     if arguments.long:
-        long_recordings(arguments.long)
+        long_recordings(arguments.long, arguments.torque)
         return
     if arguments.one:
         row = measure(*arguments.one, arguments.joints, arguments.keep, arguments.refits, arguments.threads)

@@ -3,18 +3,25 @@
     ibm     ten swings of a toy double pendulum, the last 1 s at 100 rows/s: no motor, so the torque is its friction
     dfki    nine runs of a real two-joint arm, 1 s of keypoints made of its encoders, 60 frames/s and 3 mm
     kuka    two trials of a KUKA iiwa from its seven encoders, 1 s at 20 rows/s
+    beam    18 swings of the hind limbs of five mice on a beam, DeepLabCut at 100 frames/s, from lift to touch
 
 Each is a table of files that `invdyn trials` reads. A trial's impulse ∫ τ dt stands beside that of its sensors (of the
-toy: zero), and so does the study's average. Torques of sensors are hidden.
+toy: zero), and so does the study's average. Torques of sensors are hidden. The mice have no sensors: what is known of a
+leg that swings is that the hip does work and the knee takes it (negative). Their data are those of AutoGaitA (Hosseini
+and others; GPL 3), `example data/25mm` of github.com/mahan-hosseini/AutoGaitA at 13029c06, with its table of steps. No
+mouse was weighed: masses of the limb are 5, 2 and .6 % of 25 g, lengths are learned, and 3.76 px are a millimetre.
 
     INVDYN_DATA=… python benchmarks/real_studies.py [ibm dfki kuka]
+    python benchmarks/real_studies.py beam --beam FOLDER
 """
 
 import argparse
 import tempfile
 import time
 import warnings
+import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -22,6 +29,7 @@ from board import DFKI, PENDULUM
 from sensor_cases import made
 
 import invdyn
+from invdyn.models import Link, planar_body
 from invdyn.recordings import load, write_table
 
 SECONDS = 1
@@ -48,6 +56,48 @@ STUDIES = {
 }
 
 
+LIMB = ("Hip", "Knee", "Ankle", "Hind paw tao"), (0.0096, 0.0124, 0.0098), (1.25e-3, 0.5e-3, 0.15e-3)
+"""Of a mouse: points from the base outwards, lengths, m, and masses, kg."""
+TRACKED = {"units": "px", "fps": 100, "scale": "0.000266", "base": "Hip", "noise": "student_t", "learn": ["lengths"]}
+"""How its tracks are read, and what is learned."""
+PARTS = "sharedStrings", "worksheets/sheet1"
+LIFTS = "EHKNQ"
+"""Columns of a table of steps in which a swing begins; it ends in the next one. A has the mouse, C the run."""
+STEP = "recording", "trial", "subject", "frames", "event_lift", "event_touch"
+
+
+def cells(workbook):
+    """Rows of the first sheet of a workbook (.xlsx), as texts by letter of their column."""
+    mark = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+    with zipfile.ZipFile(workbook) as parts:
+        strings, sheet = (ElementTree.fromstring(parts.read(f"xl/{name}.xml")) for name in PARTS)
+    words = ["".join(text.text or "" for text in each.iter(f"{mark}t")) for each in strings]
+    for row in sheet.iter(f"{mark}row"):
+        known = {cell: value.text for cell in row if (value := cell.find(f"{mark}v")) is not None}
+        texts = {cell: words[int(text)] if cell.get("t") == "s" else text for cell, text in known.items()}
+        yield {cell.get("r").rstrip("0123456789"): text for cell, text in texts.items()}
+
+
+def steps(folder):
+    """One row a swing: file, mouse, rows from two before the lift until the touch, and the times of both, s."""
+    mouse = ""
+    for row in cells(folder / "25mm.xlsx"):
+        mouse = row.get("A", mouse)
+        for file in folder.glob(f"*_Mouse{mouse}_25mm_run{row.get('C')}-*_SIMI*.csv"):
+            for number, column in enumerate(each for each in LIFTS if each in row):
+                lift, touch = (float(row[letter]) for letter in (column, chr(ord(column) + 1)))
+                frames = f"{round(100 * lift) - 2}:{round(100 * touch) + 1}"
+                values = file, f"m{mouse}-{number}", f"m{mouse}", frames, lift, touch
+                yield dict(zip(STEP, values, strict=True))
+
+
+def mice(folder):
+    """Body and table of the swings."""
+    points, lengths, masses = LIMB
+    links = [Link(*each) for each in zip(("thigh", "shank", "foot"), points, points[1:], lengths, masses, strict=False)]
+    return planar_body("limb", links, gravity=(0.0, -9.81)), pd.DataFrame(steps(folder))
+
+
 def columns(recording):
     """Of a recording's file."""
     found = {"time": recording.time}
@@ -61,41 +111,53 @@ def columns(recording):
     return found
 
 
-def line(name):
+def study_of(name, beam):
+    """The study, its body, and by trial the impulse of its sensors (K,), N·m·s; none of mice."""
+    if name == "beam":
+        body, table = mice(beam)
+        return invdyn.trials(table, body, filters=16, **TRACKED), body, {}
     body, parts = STUDIES[name]()
-    begun = time.process_time()
-    with tempfile.TemporaryDirectory() as where:
-        folder = Path(where)
-        for trial, (recording, _) in parts.items():
-            write_table(columns(recording), folder / f"{trial}.csv")
-        pd.DataFrame({"recording": [f"{trial}.csv" for trial in parts]}).to_csv(folder / "table.csv", index=False)
-        study = invdyn.trials(folder / "table.csv", body, filters=16)
-    seconds = time.process_time() - begun
     true = {f"{trial}.csv": np.trapezoid(torque, own.time, axis=0) for trial, (own, torque) in parts.items()}
-    own = study.table[study.table["quantity"] == "impulse"]
-    truth = np.array([true[each.trial][body.joint_names.index(each.joint)] for each in own.itertuples()])
-    held = ((own["q05"] <= truth) & (truth <= own["q95"])).sum()
-    averages = []
-    for row in study.summary().query("quantity == 'impulse'").itertuples():
-        of_sensor = np.mean([true[trial][body.joint_names.index(row.joint)] for trial in own["trial"].unique()])
-        averages.append(f"{row.joint} {row.mean:.2g} ({row.q05:.2g} to {row.q95:.2g}; {of_sensor:.2g})")
+    with tempfile.TemporaryDirectory() as where:
+        for file, (recording, _) in zip(true, parts.values(), strict=True):
+            write_table(columns(recording), Path(where, file))
+        pd.DataFrame({"recording": [*true]}).to_csv(Path(where, "table.csv"), index=False)
+        return invdyn.trials(Path(where, "table.csv"), body, filters=16), body, true
+
+
+def line(name, beam):
+    begun = time.process_time()
+    study, body, true = study_of(name, beam)
+    seconds = time.process_time() - begun
+    averages = study.summary().set_index("quantity").loc["impulse" if true else "work"]
+    said = [f"{row.joint} {row.mean:.2g} ({row.q05:.2g} to {row.q95:.2g}" for row in averages.itertuples()]
+    held = "–"
+    if true:
+        own = study.table[study.table["quantity"] == "impulse"]
+        truth = np.array([true[each.trial][body.joint_names.index(each.joint)] for each in own.itertuples()])
+        held = f"{((own['q05'] <= truth) & (truth <= own['q95'])).sum()} of {len(own)}"
+        of_sensors = np.mean([true[trial] for trial in own["trial"].unique()], axis=0)
+        where = map(body.joint_names.index, averages["joint"])
+        said = [f"{text}; {of_sensors[k]:.2g}" for text, k in zip(said, where, strict=True)]
     for reason in study.reasons.itertuples():
         print(f"{name}: {reason.trial} is left out: {reason.reason}")
-    rows = sum(len(recording.time) for recording, _ in parts.values())
+    rows = sum(len(trial.recording.time) for trial in study.trials)
     return (
-        f"| {name} | {len(parts)}, {rows} | {len(study.left_out)}, {study.doubts['trial'].nunique()} | "
-        f"{held} of {len(own)} | {'; '.join(averages)} | {seconds:.0f} |"
+        f"| {name} | {len(study.trials)}, {rows} | {len(study.left_out)}, {study.doubts['trial'].nunique()} | "
+        f"{held} | {'; '.join(f'{text})' for text in said)} | {seconds:.0f} |"
     )
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", default=list(STUDIES))
+    parser.add_argument("--beam", type=Path, help="AutoGaitA's folder `example data/25mm`")
     warnings.simplefilter("ignore")
-    lines = [line(name) for name in parser.parse_args().names]
+    options = parser.parse_args()
+    lines = [line(name, options.beam) for name in options.names]
     print(
         "\n| study | trials, rows | left out, in doubt | impulses of trials within their 90 % intervals | "
-        "average impulse, N·m·s (90 %; sensors') | CPU s |\n|---|---|---|---|---|---|"
+        "average impulse, N·m·s (90 %; sensors'), of beam work, J | CPU s |\n|---|---|---|---|---|---|"
     )
     print("\n".join(lines))
 

@@ -17,6 +17,8 @@ from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
+from invdyn.inference.study.run import run_study
+from invdyn.inference.study.trial import How, Trial
 from invdyn.models import ArmModel, Body, Joint, Keypoints, Learned, Link, Observation
 from invdyn.models.observation import pinhole as in_torch
 from invdyn.recordings import InputError, Recording
@@ -125,6 +127,23 @@ def test_a_clock_that_is_20_ms_ahead_is_found():
     assert found.converged
     assert (sd < 5e-3).all()  # s; what lasts, 2 px, is 6 mm, and the tip moves at 2 m/s
     assert (np.abs(off) < 3 * sd).all()
+
+
+@pytest.mark.long
+def test_a_session_shares_the_clocks_of_its_cameras():
+    """One camera is 20 ms ahead in all trials of a study: their session knows it better than each of them."""
+    trials = [Trial(f"t{seed}", filmed(views_of(ring(3), (0.0, 0.02, 0.0), seed)), rod()) for seed in range(3)]
+    how = How(sizes=SMCOptions(num_filters=8, num_draws=2), settings=KNOWN, binding={"learn_cameras": ("offset",)})
+    study = run_study(trials, how)
+    ((members, shared),) = study.sessions
+    assert members == tuple(study.posteriors) == (0, 1, 2)
+    parts = (shared, *study.fits)
+    sds = [0.05 * part["covariance"].diagonal().sqrt() for part in parts]  # a clock's unit is .05 s
+    for part, sd in zip(parts, sds, strict=True):
+        off = part["value camera.offset"] - torch.tensor([0.0, 0.02, 0.0])
+        assert (off[1:].abs() < 3 * sd).all()
+    alone = torch.stack(sds[1:]).square().reciprocal().sum(0).rsqrt()
+    assert sds[0] == pytest.approx(alone, rel=0.1), "as three trials together tell it"
 
 
 @pytest.mark.long
