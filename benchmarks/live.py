@@ -13,6 +13,7 @@ of 30 % of the command's rms.
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,8 @@ from trees import panda
 
 from invdyn.inference.live import Z90, LiveArm
 from invdyn.inputs import load_body
+from invdyn.models import Body
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.effects.friction import ViscousFriction
 from invdyn.simulate import random_arm, record
 
@@ -31,6 +34,12 @@ SHARE = 0.3
 """Of a friction's torque in the rms of the command of its joint."""
 CALIBRATION = 6.0
 """s of the recording that parameters are fitted on."""
+
+
+def seven() -> Body:
+    """The Panda with damping and rotors of mujoco_menagerie (Apache-2.0); without any its hand whirls in a minute."""
+    parts = JointParts(damping=1.0, armature=0.1)
+    return Body("panda", [replace(link, parts=parts) for link in panda().links])
 
 
 def live_of(model, seed: int = 1) -> LiveArm:
@@ -136,7 +145,7 @@ def main() -> None:
         arms = {
             "planar": ("planar, keypoints", planar, 100, {"noise": 0.003}),
             "commanded": ("planar, commanded", planar, 100, {"noise": 0.003, "commanded": True}),
-            "seven": ("seven joints", panda(), 60, {"noise": 0.003, "encoder_noise": 1e-3}),
+            "seven": ("seven joints", seven(), 60, {"noise": 0.003, "encoder_noise": 1e-3}),
         }
         for name in arguments.only or arms:
             said, body, fps, options = arms[name]
