@@ -290,7 +290,7 @@ def test_a_study_begins_at_its_event(browser, study, tmp_path):
     averages = pd.read_csv(study / "averages_touch.csv", dtype={"condition": str})
     averages["time"] -= 1e-3
     averages.to_csv(study / "averages_touch.csv", index=False)
-    write_view(study, tmp_path / "page.html", "touch")
+    (tmp_path / "page.html").write_text(view_of(study, "touch").html(), "utf-8")
     opened(browser, tmp_path / "page.html")
     assert browser.find_element("id", "now-time").text == "0.00 s"
     place = "return [...document.querySelectorAll('#chart-0 .now, #chart-0 .event')].map((each) => each.offsetLeft)"
