@@ -7,9 +7,11 @@ import pytest
 import torch
 from pendulum import ARM
 
+from invdyn.inputs import load_body
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.models.fixed_point import LEAPS, PASSES, settled
+from invdyn.models.state_space import gaussian_mean
 from invdyn.simulate import random_arm
 
 WIDTH = "effect.backlash.elbow.width"
@@ -90,6 +92,20 @@ def test_many_sets_are_each_by_itself():
     for width, own in zip(widths, found, strict=True):
         model = with_play(width)
         torch.testing.assert_close(own, settled(model, forgotten(model, path)), rtol=1e-9, atol=1e-9)
+
+
+def test_many_sets_whose_gaps_seldom_meet_a_stop_are_settled():
+    """Some thousand rows, in which a change would travel farther than there are passes without slopes."""
+    arm = random_arm(load_body("paper_planar_arm"), duration=3.0, fps=100, commanded=True, seed=0)
+    widths = torch.tensor([0.06, 0.1, 0.2] * 3, dtype=torch.float64).reshape(-1, 1, 1)
+    model = arm.with_effects(EFFECTS["backlash"]("elbow")).replace(**{WIDTH: widths})
+    torch.manual_seed(0)
+    path, first = arm.simulate()[0], arm.torque_size
+    path = torch.cat([path[:, :first], torch.zeros(len(path), 2, dtype=path.dtype), path[:, first:]], -1)
+    found = settled(model, path.expand(len(widths), -1, -1))
+    again = gaussian_mean(model.transition(found[:, :-1], torch.arange(1, model.num_steps)))
+    off = (again - found[:, 1:])[..., model.contact_states].abs().amax(-1)
+    assert (off > 1e-9).double().mean() < 0.02
 
 
 @pytest.mark.long
