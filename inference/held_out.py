@@ -16,7 +16,7 @@ from typing import Self
 import arviz as az
 import numpy as np
 import torch
-from pyro.distributions import Distribution, MultivariateNormal
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.inference.execution.seeds import seeded
@@ -25,6 +25,7 @@ from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import StateSpaceModel
+from invdyn.models.gaussian import by_root
 from invdyn.models.torques.given_torques import given_torques
 from invdyn.recordings import InputError
 
@@ -50,7 +51,7 @@ class Continued(StateSpaceModel):
     def initial(self) -> Distribution:
         """N(mean, root rootᵀ)."""
         root = self.parameters["start.root"]
-        return MultivariateNormal(self.parameters["start.mean"], scale_tril=root, validate_args=False)
+        return by_root(self.parameters["start.mean"], root)
 
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
         """The whole model's."""

@@ -18,6 +18,7 @@ from torch.distributions import Distribution, Independent, constraints
 
 from invdyn.models.divergence import Diverged
 from invdyn.models.observation.missing import filled, observed_log_prob
+from invdyn.models.shapes import common
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.recordings.errors import InputError, first_line
 
@@ -114,8 +115,8 @@ class Probe:
 
     def _common(self, method: str, *shapes: torch.Size) -> torch.Size:
         try:
-            return torch.broadcast_shapes(*shapes)
-        except RuntimeError:
+            return torch.Size(common(*shapes))
+        except ValueError:
             got = " and ".join(str(tuple(shape)) for shape in shapes)
             raise self.error(method, "parameter sets of one number B", got, "give all parameters (B, 1, …)") from None
 

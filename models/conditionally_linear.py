@@ -19,11 +19,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, TorchDistribution
+from pyro.distributions import Distribution, TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
-from invdyn.models.shapes import apply, join
+from invdyn.models.gaussian import by_root
+from invdyn.models.shapes import apply, common, join
 from invdyn.models.state_space import StateSpaceModel
 
 Linear = tuple[Tensor, Tensor, Tensor]
@@ -88,7 +89,7 @@ class ConditionallyLinear(StateSpaceModel, ABC):
 
         outer = self.outer_transition(before, t)
         # An outer state without memory has no batch of its own.
-        batch = torch.broadcast_shapes(outer.batch_shape, before.shape[:-1])
+        batch = torch.Size(common(outer.batch_shape, before.shape[:-1]))
         return OuterThenInner(outer.expand(batch), inner, self.inner_dim)
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
@@ -125,7 +126,7 @@ class OuterThenInner(TorchDistribution):
         outer = self.outer.sample(torch.Size(sample_shape))
         inner = self.inner(outer)
         # An inner distribution that is one for all u still draws once for each of them.
-        batch = torch.broadcast_shapes(outer.shape[:-1], inner.batch_shape)
+        batch = torch.Size(common(outer.shape[:-1], inner.batch_shape))
         return join(outer, inner.expand(batch).sample())
 
     def log_prob(self, value: Tensor) -> Tensor:
@@ -142,4 +143,4 @@ def _normal(mean: Tensor, covariance: Tensor) -> Distribution:
         values, vectors = torch.linalg.eigh(covariance)
         # V √λ is a square root, and QR of its transpose makes it triangular.
         root = torch.linalg.qr((vectors * values.clamp_min(0).sqrt().unsqueeze(-2)).mT).R.mT
-    return MultivariateNormal(mean, scale_tril=root, validate_args=False)
+    return by_root(mean, root)

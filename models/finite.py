@@ -19,6 +19,7 @@ from pyro.distributions import Distribution, TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
+from invdyn.models.shapes import common
 from invdyn.models.state_space import StateSpaceModel
 
 
@@ -53,7 +54,7 @@ class StateNumber(TorchDistribution):
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Log-probability of numbers (..., 1)."""
-        batch = torch.broadcast_shapes(self.batch_shape, value.shape[:-1])
+        batch = common(self.batch_shape, value.shape[:-1])
         log_probabilities = self.probabilities.log().expand(*batch, -1)
         return log_probabilities.gather(-1, value.long().expand(*batch, 1)).squeeze(-1)
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, Normal
+from pyro.distributions import Distribution, Normal
 from torch import Tensor
 
 from invdyn.models.articulated.arm import ArmModel
@@ -25,6 +25,7 @@ from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.articulated.timeline import Row, Timeline
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.models.gaussian import by_root
 from invdyn.models.kinematics import AGILITY, joint_angle_candidates
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.observation import Observation
@@ -161,7 +162,7 @@ class KinematicModel(StateSpaceModel):
         tril[..., diagonal, diagonal] = step * dt / 3**0.5
         tril[..., K + diagonal, diagonal] = step * 3**0.5 / 2
         tril[..., K + diagonal, K + diagonal] = step / 2
-        return MultivariateNormal(join(q + dt * qd, qd), scale_tril=tril, validate_args=False)
+        return by_root(join(q + dt * qd, qd), tril)
 
     def emission(self, state: Tensor, t: Row) -> Distribution:
         """What sensors show in row ``t`` given x_t = ``state``; event shape (O,)."""

@@ -6,9 +6,10 @@ Shapes: A (D, D), Q (D, D), C (O, D), R (O, O), m (D,), P (D, D).
 """
 
 import torch
-from pyro.distributions import Distribution, MultivariateNormal
+from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.models.gaussian import by_root
 from invdyn.models.shapes import apply
 from invdyn.models.state_space import StateSpaceModel
 
@@ -51,16 +52,16 @@ class LinearGaussian(StateSpaceModel):
     def initial(self) -> Distribution:
         """N(m, P)."""
         p = self.parameters
-        return MultivariateNormal(p["mean"], scale_tril=p["root"], validate_args=False)
+        return by_root(p["mean"], p["root"])
 
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:
         """N(A x, Q)."""
         p = self.parameters
         mean = apply(p["transition"], state)
-        return MultivariateNormal(mean, scale_tril=p["transition_root"], validate_args=False)
+        return by_root(mean, p["transition_root"])
 
     def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
         """N(C x, R)."""
         p = self.parameters
         mean = apply(p["emission"], state)
-        return MultivariateNormal(mean, scale_tril=p["emission_root"], validate_args=False)
+        return by_root(mean, p["emission_root"])

@@ -29,7 +29,7 @@ from torch.fx import GraphModule, Interpreter
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._pytree import tree_leaves, tree_map
 
-from invdyn.models.shapes import by_column
+from invdyn.models.shapes import by_column, common
 
 aten = torch.ops.aten
 
@@ -183,7 +183,7 @@ def _each(target: Callable[..., Tensor], *args: Any, **kwargs: Any) -> Any:
     shape = np.broadcast_shapes(*(value.entries.shape for value in columns))
     if 0 in shape:
         return NotImplemented
-    batch = torch.broadcast_shapes(*(value.batch for value in columns))
+    batch = torch.Size(common(*(value.batch for value in columns)))
     entries = [np.broadcast_to(v.entries, shape) if isinstance(v, _Columns) else v for v in aligned]
 
     def entry(index: tuple[int, ...]) -> Tensor:
@@ -214,7 +214,7 @@ def _cat(values: Sequence[Any], dim: int = 0) -> Any:
     axis = first.axis(dim)
     if axis is None or any(value.entries.ndim != event for value in values) or not _same_type(values):
         return NotImplemented
-    batch = torch.broadcast_shapes(*(value.batch for value in values))
+    batch = torch.Size(common(*(value.batch for value in values)))
     return _Columns(np.concatenate([value.entries for value in values], axis), batch)
 
 

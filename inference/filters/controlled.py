@@ -17,13 +17,14 @@ observations are sharp.
 
 import numpy as np
 import torch
-from pyro.distributions import Distribution, MultivariateNormal
+from pyro.distributions import Distribution
 from torch import Tensor
 
 from invdyn.inference.contract import check_model
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.linearised import at_mode
+from invdyn.models.gaussian import by_root
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
 
@@ -112,7 +113,7 @@ class Controlled(Proposal):
 
     def _conditional(self, t: int | Tensor, prediction: Tensor) -> Distribution:
         loc = self.path[t] + prediction @ self._gain[t].mT + self._offset[t]
-        return MultivariateNormal(loc, scale_tril=self._root[t], validate_args=False)
+        return by_root(loc, self._root[t])
 
     def log_twist(self, state: Particles, t: int | Tensor) -> Tensor:
         """Log ψ̃_t(x_t) of the particles in Pyro's state; zero at the last row."""

@@ -24,7 +24,7 @@ Use it where ψ may be wrong: several modes, jumps, heavy-tailed dynamics, covar
 import math
 
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, TorchDistribution
+from pyro.distributions import Distribution, TorchDistribution
 from torch import Tensor
 from torch.distributions import constraints
 
@@ -33,6 +33,7 @@ from invdyn.inference.filters.controlled import Controlled
 from invdyn.inference.filters.moment_matching import matched
 from invdyn.inference.filters.proposal import Particles, Proposal, draw
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.models.gaussian import by_root
 from invdyn.models.state_space import StateSpaceModel, gaussian_moments
 
 
@@ -74,7 +75,7 @@ class Defended(Controlled):
     def _mixture(self, t: int | Tensor, before: Distribution) -> "Mixture":
         log_integral, mean, root = self._parts(t, before)
         tril = torch.linalg.cholesky(root @ root.mT)
-        guided = MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+        guided = by_root(mean, tril)
         return Mixture(guided, before, torch.sigmoid(self._log_floor - log_integral))
 
     def conditional_initial(self) -> Distribution:

@@ -34,13 +34,14 @@ from typing import Generic
 
 import numpy as np
 import torch
-from pyro.distributions import MultivariateNormal, MultivariateStudentT, Normal
+from pyro.distributions import Chi2, Distribution, Normal
 from torch import Tensor
 
 from invdyn.inference.fitting.log_parameters import Free, LogParameters, M
 from invdyn.inference.fitting.marginal_likelihood import Fit
 from invdyn.inference.fitting.objective import Objective
 from invdyn.models.divergence import Diverged, diverging
+from invdyn.models.gaussian import by_root
 
 DF = 8.0
 PROPOSALS, MIN_PROPOSALS = 3, 48
@@ -159,12 +160,11 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     if not len(centre):
         return fitted
     parameters = _parameters(candidate)
-    prior = Normal(0.0, torch.as_tensor(parameters.sd)).to_event(1)
+    prior: Distribution = Normal(0.0, torch.as_tensor(parameters.sd)).to_event(1)
     root = torch.linalg.cholesky(torch.as_tensor(found.covariance))
     if candidate.of_more_rows:
-        prior = MultivariateNormal(centre, scale_tril=root)
-    proposal = MultivariateStudentT(torch.tensor(DF, dtype=torch.float64), centre, root)
-    phi = proposal.sample((size,))
+        prior = by_root(centre, root)
+    phi, density = _student_t(centre, root, size)
     objective = Objective(parameters.model, observations, candidate.free, found.path)
     try:
         with diverging():
@@ -177,7 +177,17 @@ def _weighed(candidate: Candidate[M], observations: Tensor, size: int) -> tuple[
     explained = log_evidence
     if candidate.of_more_rows:
         explained = torch.where(log_evidence.isfinite(), found.log_evidence, -torch.inf)
-    return explained + prior.log_prob(phi) - proposal.log_prob(phi), log_evidence, phi, paths
+    return explained + prior.log_prob(phi) - density, log_evidence, phi, paths
+
+
+def _student_t(centre: Tensor, root: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Draws (size, P) of a Student-t of ``DF`` degrees about ``centre`` (P,), of scale ``root`` (P, P), and log q."""
+    z = torch.randn(size, len(centre), dtype=centre.dtype)
+    z = z * torch.rsqrt(Chi2(torch.tensor(DF, dtype=centre.dtype)).sample((size,)) / DF).unsqueeze(-1)
+    whole = 0.5 * (DF + len(centre))
+    constant = math.lgamma(whole) - math.lgamma(0.5 * DF) - 0.5 * len(centre) * math.log(DF * math.pi)
+    density = constant - root.diagonal().log().sum() - whole * torch.log1p(z.square().sum(-1) / DF)
+    return centre + z @ root.mT, density
 
 
 def _parameters(candidate: Candidate[M]) -> LogParameters[M]:

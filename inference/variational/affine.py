@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pyro
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, Normal
+from pyro.distributions import Distribution, Normal
 from torch import Tensor
 from torch.distributions import constraints
 
@@ -34,6 +34,7 @@ from invdyn.inference.filters.moment_matching import noise_varies
 from invdyn.inference.filters.proposal import Particles, Proposal
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import eliminate
+from invdyn.models.gaussian import by_root
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean, gaussian_moments
 
 
@@ -222,7 +223,7 @@ class Corrected(Controlled):
         w = prediction @ self._w_gain[t] + self._w_offset[t]
         root = (self._w_root[t] @ noise).mT
         loc = self.path[t] + prediction + _times(w, noise)
-        return MultivariateNormal(loc, scale_tril=root, validate_args=False)
+        return by_root(loc, root)
 
 
 def _times(w: Tensor, root: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.articulated.moving_base import ORDER, MovingBase
+from invdyn.models.shapes import common
 
 PAIRS, WINDOW, OUTLIER_SDS = 3, 7, 6.0
 """Pairs of rows about one whose middles tell where it should be; rows about it that tell how well they do; and how many
@@ -67,7 +68,7 @@ def filtered(
         root = base.noise_blocks(over, parameters)
         step[each] = base.propagator(over, parameters).numpy(), (root @ root.mT).numpy()
     sd = base.initial_sd(parameters)
-    batch = torch.broadcast_shapes(sd.shape[:-1], noise.shape)
+    batch = common(sd.shape[:-1], noise.shape)
     mean = np.zeros((*batch, ORDER))
     cov = torch.diag_embed(sd**2).expand(*batch, ORDER, ORDER).numpy()
     r2, evidence = noise.expand(batch).numpy() ** 2, np.zeros(batch)

@@ -9,9 +9,10 @@ Shapes: z (..., Z), hidden (..., H), sensors' memory (..., M), joints (..., K), 
 from dataclasses import dataclass
 
 import torch
-from pyro.distributions import Distribution, MultivariateNormal, Normal
+from pyro.distributions import Distribution, Normal
 from torch import Tensor
 
+from invdyn.models.gaussian import by_root
 from invdyn.models.shapes import common, join
 
 
@@ -64,7 +65,7 @@ class StateLayout:
             )
             return Normal(loc, scale, validate_args=False).to_event(1)
         tril = torch.where(here.unsqueeze(-1), one.scale_tril, other.scale_tril)
-        return MultivariateNormal(torch.where(here, one.loc, other.loc), scale_tril=tril, validate_args=False)
+        return by_root(torch.where(here, one.loc, other.loc), tril)
 
 
 def gaussian(mean: Tensor, root: Tensor, sds: Tensor, diagonal: bool) -> Distribution:
@@ -75,4 +76,4 @@ def gaussian(mean: Tensor, root: Tensor, sds: Tensor, diagonal: bool) -> Distrib
     tril = mean.new_zeros(*common(root.shape[:-2], sds.shape[:-1]), size, size)
     tril[..., :first, :first] = root
     tril.diagonal(dim1=-2, dim2=-1)[..., first:] = sds
-    return MultivariateNormal(mean, scale_tril=tril, validate_args=False)
+    return by_root(mean, tril)

@@ -40,7 +40,7 @@ from invdyn.models.engine.typical_forces import typical_forces
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.observation import Observation
-from invdyn.models.shapes import join
+from invdyn.models.shapes import common, join
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.models.torques import OrnsteinUhlenbeck, TorqueProcess
 
@@ -300,7 +300,7 @@ class EngineModel(StateSpaceModel):
             sds.append(p["initial.activation_scale"])
         mean = join(root.new_zeros(self.torque_size), *middle)
         sd = join(*sds)
-        lead = torch.broadcast_shapes(mean.shape[:-1], sd.shape[:-1], root.shape[: -1 if self.torque.diagonal else -2])
+        lead = common(mean.shape[:-1], sd.shape[:-1], root.shape[: -1 if self.torque.diagonal else -2])
         return gaussian(mean.expand(*lead, -1), root, sd, self.torque.diagonal)
 
     def transition(self, state: Tensor, t: int | Tensor) -> Distribution:

@@ -4,7 +4,13 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import torch
+
+from invdyn.inference import infer
+from invdyn.inputs import load_body
+from invdyn.simulate import paper_arm, record
 
 WRONG_UNIT = """
 import sys
@@ -102,3 +108,16 @@ def test_plots_and_statistics_of_arviz_come_when_asked_for(words):
     command = [sys.executable, "-W", "ignore", "-c", *words]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 0, done.stderr
+
+
+def test_torch_is_not_asked_for_a_common_shape(monkeypatch):
+    """`torch.broadcast_shapes` imports SymPy: half a second of CPU in each process."""
+
+    def asked(*shapes):
+        raise AssertionError(f"torch was asked for the common shape of {shapes}")
+
+    monkeypatch.setattr(torch, "broadcast_shapes", asked)
+    body = load_body("paper_planar_arm")
+    recording, _ = record(paper_arm(body, num_frames=12), 0)
+    found = infer(recording, body, method="laplace", num_filters=4)
+    assert np.isfinite(found.attrs["log_evidence"])

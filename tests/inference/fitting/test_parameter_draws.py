@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pyro.distributions import Normal
+from pyro.distributions import MultivariateStudentT, Normal
 from scipy.stats import multivariate_normal, norm
 
 from invdyn.inference import Free, fit
 from invdyn.inference.fitting.objective import Objective
 from invdyn.inference.fitting.parameter_draws import (
+    DF,
     Candidate,
+    _student_t,
     given_the_rest,
     parameter_draws,
     probabilities,
@@ -201,3 +203,13 @@ def test_sets_are_half_the_draws_times_what_one_set_is_off_by(candidates):
     assert sets_needed([small, large], [0], 256) == 58  # of 128 · (0.05 + 0.15 + 0.25)
     assert sets_needed([small], [0, 1], 2) == 9
     assert sets_needed([unknown], [0], 2) == 1e6
+
+
+def test_the_proposal_is_pyros_student_t():
+    centre, root = torch.tensor([0.3, -1.0], dtype=F64), torch.tensor([[0.5, 0.0], [-0.2, 0.1]], dtype=F64)
+    torch.manual_seed(4)
+    drawn, density = _student_t(centre, root, 50)
+    law = MultivariateStudentT(torch.tensor(DF, dtype=F64), centre, root)
+    torch.manual_seed(4)
+    torch.testing.assert_close(drawn, law.sample((50,)), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(density, law.log_prob(drawn), rtol=1e-10, atol=1e-10)
