@@ -14,7 +14,7 @@ import numpy as np
 
 from invdyn.diagnosis.check.command_times import between, late_commands
 from invdyn.diagnosis.check.excitation import BaseParameter, excited
-from invdyn.diagnosis.check.mistakes import Found, Mistake, find, fixed, gears, left_by, units
+from invdyn.diagnosis.check.mistakes import Found, Mistake, find, known, left_by
 from invdyn.diagnosis.check.rows import wrong_rows
 from invdyn.diagnosis.check.torque_fit import Explained, TorqueFit
 from invdyn.diagnosis.check.torque_regression import Motion, as_large
@@ -227,17 +227,13 @@ def _motion(reading: Reading, fit: TorqueFit, rules: Rules) -> Motion | None:
     if min(plain) <= rules.check.min_misfit:  # nothing is wrong
         return every[int(np.argmin(plain))]
     # angles or commands alone are exchanged more rarely, and no window tells these from whole columns
-    known = [each for each in fixed(body.num_joints, encoders) if each.kind != "exchanged" or "columns" in each.words]
-    known += units() if encoders else ()
-    if reading.units.mapping is not None and (terms := every[0].terms) is not None:
-        known += gears(terms, reading.units.mapping, rules)
-
+    mistakes = [m for m in known(every[0], encoders, reading.units) if m.kind != "exchanged" or "columns" in m.words]
     rare = between(*_commands(reading.recording, body))
 
     def best(motion: Motion, whole: Motion) -> float:
         tried = [motion, as_large(fit.dynamics, body, motion)]
         tried += [] if rare is None else [whole.recommanded(rare[1]).thinned(rules.check.scan_rows)]
-        return min(*(fit.explain(each).misfit for each in tried), *(left_by(each, fit, motion) for each in known))
+        return min(*(fit.explain(each).misfit for each in tried), *(left_by(each, fit, motion) for each in mistakes))
 
     return every[int(np.argmin([best(*each) for each in zip(few, every, strict=True)]))]
 

@@ -227,6 +227,18 @@ def left_by(mistake: Mistake, fit: TorqueFit, motion: Motion) -> float:
     return math.inf if righted is None else fit.explain(righted).misfit
 
 
+def known(motion: Motion, encoders: bool, said: Units | None) -> Iterator[Mistake]:
+    """All without a number that is looked for."""
+    joints, terms = motion.q.shape[1], motion.terms
+    by_target = (False,) * joints if terms is None else terms.by_target
+    place = None if terms is None or said is None else said.mapping
+    yield from fixed(joints, encoders, by_target)
+    if encoders:
+        yield from units(said, any(by_target), None if terms is None or place is None else terms.stated)
+    if terms is not None and place is not None:
+        yield from gears(terms, place, motion.rules)
+
+
 def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
     joints, terms, rules = motion.q.shape[1], motion.terms, motion.rules.check
@@ -236,16 +248,9 @@ def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -
     def left(mistake: Mistake) -> float:
         return left_by(mistake, fit, motion)
 
-    def known() -> Iterator[Mistake]:
-        yield from fixed(joints, encoders, by_target)
-        stated = None if terms is None or said is None or said.mapping is None else terms.stated
-        yield from units(said, any(by_target), stated) if encoders else ()
-        if terms is not None and said is not None and said.mapping is not None:
-            yield from gears(terms, said.mapping, motion.rules)
-
     if not moving.any():
         return
-    for mistake in known():
+    for mistake in known(motion, encoders, said):
         if moving[list(mistake.joints)].all():
             yield left(mistake), mistake
     shifting = slides(fit.body)
