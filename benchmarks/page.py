@@ -31,6 +31,7 @@ COMMANDS = {
     "cost_long": "cost.py --long 1000 10000 100000 --torque ornstein_uhlenbeck",
     "users_clock": "users_clock.py",
     "live": "live.py",
+    "live_seven": "live.py --minutes 10 --changes 0 --only seven",
     "calibration": "calibration.py",
     "parameter_calibration": "parameter_calibration.py",
     "gallery": "gallery.py",
