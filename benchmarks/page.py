@@ -54,9 +54,9 @@ COMMANDS = {
     "projection": "projection.py",
     "moving_base": "moving_base.py --seeds 2 --cases still/2 walking/2 running/2 jumping/2 bus/2 falling/2 "
     "walking/3 falling/3",
-    "leg": "leg.py --seeds 14 --filters 4 --kinds drop slip --results build/leg.jsonl",
-    "leg_hop_stance": "leg.py --seeds 3 --filters 4 --kinds hop stance --results build/leg.jsonl",
-    "quadruped": "quadruped.py --seconds 0.6 --filters 4 --particles 1000 --results build/quadruped.jsonl",
+    "leg": "leg.py --seeds 4 --filters 4 --results build/leg.jsonl",
+    "quadruped": "quadruped.py --method laplace --results build/quadruped.jsonl",
+    "muscles": "muscles.py",
     "gait": "gait.py",
     "walker": "walker.py",
     "walker_arm": "walker_arm.py --every 3 --results build/walker_arm.jsonl",

@@ -6,6 +6,13 @@ Each is the largest over a few poses of
     5/s² · M_vv                         what accelerates them, M being the inertia of the joints
     |J_v(c)ᵀ m P g|                     what carries the base, where the base can fall
 
+A motor acts on both its bodies: what one does, the joints before it hold, as far as their axes are parallel. With
+axes a_v of joints of a kind, those that turn or those that shift, a force f_w asks for
+
+    |a_v · a_w| f_w                     at each joint v between its body and the world.
+
+So a hip is as strong as the knee beyond it. Where a foot sticks to the floor, motion hardly tells how both share.
+
 A base, the first body of a tree, can fall along slides and free joints' shifts that no drive pushes. P projects onto
 their directions (rank ≤ 3): a bolted or hinged base, or one on level rails, has P g = 0, and its bearing carries it.
 Along P g a joint may have to hold all bodies that are not beyond it, of mass m about c: those of a leg that stands.
@@ -37,10 +44,9 @@ def typical_forces(scene: Scene, pushed: Sequence[int] = ()) -> np.ndarray:
         tangent = rng.uniform(-1, 1, scene.num_joints) * (k > 0)
         data.qpos[:] = scene.chart.configuration(scene.reference, tangent)
         mujoco.mj_forward(model, data)
-        loads.append(np.abs(data.qfrc_bias - data.qfrc_passive))
         mujoco.mj_fullM(model, data, inertia)
-        loads.append(ACCELERATION * np.abs(np.diagonal(inertia)))
-        loads.append(_carrying(model, data, pushed))
+        held = np.maximum(np.abs(data.qfrc_bias - data.qfrc_passive), ACCELERATION * np.abs(np.diagonal(inertia)))
+        loads.append(_passed_on(model, data, np.maximum(held, _carrying(model, data, pushed))))
     return np.maximum(np.max(loads, 0), LEAST)
 
 
@@ -61,4 +67,17 @@ def _carrying(model: Any, data: Any, pushed: Sequence[int]) -> np.ndarray:
         mujoco.mj_jac(model, data, slope, None, (moments[0] - moments[1]) / mass, body)
         own = model.dof_bodyid == body
         found[own] = np.abs(mass * falling @ slope[:, own])
+    return found
+
+
+def _passed_on(model: Any, data: Any, load: np.ndarray) -> np.ndarray:
+    """Loads (nv,) in a pose with what joints bear of those beyond them, about the same axes."""
+    turns, found = turning_dofs(model), load.copy()
+    shift, turn = np.zeros((2, 3, model.nv))
+    for body in np.unique(model.dof_bodyid):
+        engine("engine model").mj_jacBody(model, data, shift, turn, body)
+        axes = np.where(turns, turn, 0.0), np.where(turns, 0.0, shift)
+        own = model.dof_bodyid == body
+        for each in axes:
+            found = np.maximum(found, (np.abs(each.T @ each[:, own]) * load[own]).max(1))
     return found

@@ -179,14 +179,36 @@ def test_many_states_and_rows_at_once_are_the_same_as_one_by_one():
 
 
 def test_limbs_that_carry_a_base_may_hold_all_of_it():
-    """By levers: at the knee hang shank and foot, or stand trunk and thigh; at the hip the trunk stands straight."""
+    """By levers: at the knee hang shank and foot, or stand trunk and thigh; the hip bears what the knee does."""
     scene = Scene.of(legs.leg_file("hop"))
     hanging, standing = typical_forces(scene, (0, 1, 2)), typical_forces(scene, (1, 2))
     hip, knee = np.random.default_rng(0).uniform(-1, 1, (20, 3))[1:, 1:].T  # poses, the first of which is straight
     foot = 1000 * 4 / 3 * np.pi * 0.025**3
     assert hanging[2] == pytest.approx(9.81 * (0.3 * 0.125 + foot * 0.25) * np.abs(np.sin(hip + knee)).max())
     assert standing[2] == pytest.approx(9.81 * (3 * 0.25 + 0.5 * 0.125) * np.abs(np.sin(hip)).max())
-    assert standing[:2] == pytest.approx(hanging[:2])
+    assert standing[0] == pytest.approx(hanging[0])
+    assert hanging[1] < standing[1] == standing[2]
+
+
+def test_joints_bear_what_motors_beyond_them_do_about_the_same_axis():
+    """A spring of 30 N·m/rad on a hinge 60° off the first one's axis, beyond a slide; its pull stays with slides."""
+    speck = '<inertial pos="0 0 0" mass=".01" diaginertia=".01 .01 .01"/>'
+    tilted = f"{np.sin(np.pi / 3)} 0 {np.cos(np.pi / 3)}"
+    scene = Scene.of(
+        f'<mujoco><option gravity="0 0 0"/><worldbody><site name="post"/><body>{speck}<joint axis="0 0 1"/>'
+        f'<body pos="1 0 0">{speck}<joint type="slide" axis="0 1 0"/>'
+        f'<body>{speck}<joint axis="{tilted}" stiffness="30"/>'
+        f'<body>{speck}<joint type="slide" axis="0 1 1" stiffness="40"/>'
+        "</body></body></body></body></worldbody></mujoco>"
+    )
+    poses = np.random.default_rng(0).uniform(-1, 1, (20, 4))[1:]
+    turn, push = 30 * np.abs(poses[:, 2]), 40 * np.abs(poses[:, 3])
+    # The last slide's axis turns with the hinge (Rodrigues): its share along y is what the first slide bears.
+    axis, own = np.array([np.sin(np.pi / 3), 0, np.cos(np.pi / 3)]), np.array([0, 1, 1]) / 2**0.5
+    angle = poses[:, 2, None]
+    turned = own * np.cos(angle) + np.cross(axis, own) * np.sin(angle) + axis * (axis @ own) * (1 - np.cos(angle))
+    expected = [turn.max() / 2, (push * np.abs(turned[:, 1])).max(), turn.max(), push.max()]
+    assert typical_forces(scene) == pytest.approx(expected, rel=1e-6)
 
 
 def turret(root: str, motors: str = "") -> Scene:
