@@ -4,10 +4,12 @@ A real recording always has something left, so a search that ends when nothing i
 not timed: the same recording gets the same answer on every machine, with any number of workers. Its unit is one pass, a
 linearisation of the plain arm along every row; a model with hidden states or sub-steps takes more of them,
 
-    work = passes · T (D/D₀)² (3 + s)/4,        T rows, D states, D₀ those of the plain arm, s sub-steps a row,
+    work = passes · T (D/D₀)² (3 + s)/4 max(1, (K/3)³),
 
-and a budget allows so many passes a row. Where seconds are given, the clock ends it instead, and the
-result depends on the machine. The best so far is always an answer (anytime algorithms: Dean & Boddy 1988).
+of T rows, D states, D₀ those of the plain arm, s sub-steps a row and K joints, and a budget allows so many passes a
+row. Where seconds are given, the clock ends it instead, and the result depends on the machine. The best so far is
+always an answer (anytime algorithms: Dean & Boddy 1988). A search that cannot come to its first screen is not begun:
+what it would need is known before.
 """
 
 import math
@@ -81,9 +83,15 @@ class Budget:
 
     def spend(self, passes: float, model: ArmModel, rows: int) -> None:
         """Count ``passes`` of a model along so many rows."""
-        plain = model.torque_size + 2 * model.body.num_joints
-        passes *= FIXED.rowwise_cost if model.contact_states is not None else 1.0
-        self.done += passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
+        self.done += work_of(passes, model, rows)
+
+    def allows(self, passes: float, model: ArmModel, rows: int, share: float) -> bool:
+        """Whether a ``share`` of the budget has room for ``passes`` of a model along so many rows.
+
+        Of seconds, by what a pass usually takes.
+        """
+        seconds = self.seconds * FIXED.work_per_second
+        return work_of(passes, model, rows) <= share * min(self.work, seconds)
 
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":
         """Run a part as if it were the only one."""
@@ -102,6 +110,15 @@ class Budget:
         if not all(each.results for each in outcomes):
             raise Spent("the budget is spent")
         return [each.results[0] for each in outcomes]
+
+
+def work_of(passes: float, model: ArmModel, rows: int) -> float:
+    """Work of ``passes`` of a model along so many rows."""
+    joints = model.body.num_joints
+    plain = model.torque_size + 2 * joints
+    passes *= FIXED.rowwise_cost if model.contact_states is not None else 1.0
+    passes *= max(1.0, (joints / FIXED.usual_joints) ** 3)
+    return passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,8 @@ def diagnose(
         workers: processes that may run in parallel; this one is one of them.
         budget: seconds after which no more candidate is started, three quarters of them for the search; the fit without
             any effect and what is said of the causes come on top. The result then depends on the machine. By default
-            the search counts its work instead (:mod:`.budget`), and the result does not.
+            the search counts its work instead (:mod:`.budget`), and the result does not. Where a search cannot come to
+            its first screen, the answer is the regression's (:mod:`.regression_alone`).
         tolerance: share of a joint's typical torque under which a gap does not matter (:mod:`.matters`),
             nor does what a cause leaves; by default `rules.evidence.tolerance`, of a ``robot`` its `robot_tolerance`.
         robot: the recording is a real robot's, of which something is always left, and which lacks effects at all
@@ -149,7 +150,7 @@ def diagnose(
     if said is not None and interim is not None:
         interim(said)
     run = _Run(bound, other, body, said, passive, robot, seed, workers, tuple(without), report)
-    result = by_regression_alone(said, bound, seed, passive) if robot and said is not None and said.far_gains else None
+    result = None if said is None else by_regression_alone(said, bound, run.without, seed, passive, robot)
     if result is None:
         result = _by_search(run)
     report(5, "done")

@@ -136,6 +136,29 @@ class Choice:
         without = [self._fitted(_less(best.statements, n)) for n in range(len(best.statements))]
         return replace(best, gain=tuple(float(best.score - each.score) for each in without))
 
+    def rivals(self, best: Chosen) -> dict[tuple[str, str], tuple[str, ...]]:
+        """By an effect and its place those that would explain as much in its stead, within a few nats.
+
+        There alone, or at all places of its statement.
+        """
+        found: dict[tuple[str, str], list[str]] = {}
+        least = best.score - self.rules.evidence.confirm_within
+        for n, statement in enumerate(best.statements):
+            for place, kind in product(statement.columns, self.kinds):
+                others = self.kinds[kind]
+                taken = next((s for s in best.statements if s.kind == kind), Statement(kind, {}, statement.size))
+                if place not in others or place in taken.columns:
+                    continue
+                rest = [s for s in _less(best.statements, n) if s.kind != kind]
+                alone, whole = {place: others[place]}, {p: others[p] for p in statement.columns if p in others}
+                here = replace(taken, columns={**taken.columns, **alone})
+                sets = [(*rest, _but(statement, {place}), here), (*rest, replace(taken, columns=whole))]
+                tried = [self._fitted(tuple(s for s in some if s.columns)) for some in sets]
+                there = [each for each in tried if any(s.kind == kind and place in s.columns for s in each.statements)]
+                if max((each.score for each in there), default=-np.inf) > least:
+                    found.setdefault((statement.kind, place), []).append(kind)
+        return {key: tuple(kinds) for key, kinds in found.items()}
+
     def _steps(self, best: Chosen) -> Iterator[tuple[Statement, ...]]:
         """Sets that differ by one statement's presence, places or size."""
         now, value = best.statements, dict(zip(best.columns, best.values.tolist(), strict=True))

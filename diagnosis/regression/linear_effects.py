@@ -10,8 +10,9 @@ q̈ are means; of dry friction E[sgn q̇] = 2 Φ(m/s) − 1 for q̇ ~ N(m, s²).
 
 A gain multiplies what was commanded, whose noise would bias it. Its column is what the file asks for: an instrument.
 Servos' gains are near to what :mod:`.servo_gains` says; their own damping counts as the joint's. Rows at which such a
-servo reaches its limits do not count. Gains and masses have a factor in common, which no torque tells: where gains are
-far from the file's, the links are the file's. What is missing and all columns pass one filter (:mod:`.low_pass`).
+servo reaches its limits do not count, and what it gives there is not its gain's. Gains and masses have a factor in
+common, which no torque tells: where gains are far from the file's, the links are the file's. What is missing and all
+columns pass one filter (:mod:`.low_pass`).
 Where no torque acts there are friction and links alone: a spring looks like a weight there, and a rotor like a link.
 Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry friction and a constant (f₊ − f₋)/2.
 
@@ -28,7 +29,7 @@ from scipy.special import erf
 from invdyn.diagnosis.catalogue.linear_laws import DAMPING, FILED, FRICTION, GAIN, INERTIAL, JOINT_KINDS, LOWER_BOUNDS
 from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.low_pass import low_passed
-from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
+from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, limited
 from invdyn.diagnosis.regression.regressors import (
     all_but_the_largest,
     filed_torques,
@@ -56,6 +57,7 @@ class LinearEffects:
         size: (P,) sd of the prior where an effect is as large as is usual.
         least: (P,) smallest value.
         required: (K,) rms of the torque that the file asks for, or that was given, where that is more.
+        given: (K,) rms of the torque that was given.
         free: (P,) whether a column may be chosen. Where no torque acts, all links could be without mass: there the
             base parameter that asks for most torque is the file's.
         cutoff: Hz, of the filter.
@@ -73,6 +75,7 @@ class LinearEffects:
     size: np.ndarray
     least: np.ndarray
     required: np.ndarray
+    given: np.ndarray
     free: np.ndarray
     cutoff: float
 
@@ -158,10 +161,11 @@ def linear_effects(
     """
     joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     required, number = along.required, along.columns.number
-    wanted = motion.demanded / factor - motion.servo_drag
-    torque, parts = limited(body, wanted) + motion.servo_drag, getattr(body, "joint_parts", ()) or [None] * len(joints)
-    needed, given = (np.sqrt((each**2).mean(0)) for each in (required, torque))
-    whole = np.maximum(needed, given)
+    wanted, drag = motion.demanded / factor - motion.servo_drag, motion.servo_drag
+    parts = getattr(body, "joint_parts", ()) or [None] * len(joints)
+    given = limited(body, wanted, motion.within / factor)
+    needed, used = (np.sqrt((each**2).mean(0)) for each in (required, given + drag))
+    whole = np.maximum(needed, used)
     unit = np.maximum(np.maximum(whole, rules.check.min_torque_scale * whole.max()), 1e-12)
     size, least, names = np.zeros(number), np.full(number, -np.inf), []
     for p, (kind, k, n) in enumerate(along.labels):
@@ -176,22 +180,26 @@ def linear_effects(
             own_damping = own.servo_damping if kind == DAMPING else 0.0
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
         names.append((kind, joints[k], name, of))
+    usable, columns = limited(body, wanted, np.zeros_like(wanted)[:, None]) == wanted, along.columns
+    gains = [kind == GAIN for kind, _, _ in along.labels] + [False] * (number - len(along.labels))
+    shown = [np.where(np.array(gains)[at][:, None], usable[:, k], 1.0) for k, at in enumerate(columns.at)]
+    columns = replace(columns, values=tuple(X * own for X, own in zip(columns.values, shown, strict=True)))
     numbers = nominal_link_numbers(body)
     links, free = np.arange(len(names), number), np.ones(number, dtype=bool)
     own_numbers = np.concatenate([each.ravel() for each in (*numbers, np.zeros(0))])
     floors = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in numbers]
     size[links] = np.maximum(np.abs(own_numbers), FIXED.min_link_share * np.concatenate([*floors, np.zeros(0)]))
     if passive and len(links):
-        free[links] = all_but_the_largest(along.columns.triangle(links), own_numbers)
+        free[links] = all_but_the_largest(columns.triangle(links), own_numbers)
     if (factors != 1.0).any():
         free[links] = False
     names += [(INERTIAL, link, name, of) for name, of in link_names(body, numbers) for link in body.link_names]
     kinds, places, parameters, units = zip(*names, strict=True)
     return LinearEffects(
-        low_passed(torque - required, motion, cutoff),
-        low_passed(motion.torque + motion.servo_drag - required, motion, cutoff),
-        torque == wanted + motion.servo_drag,
-        along.columns.map(lambda X: np.ascontiguousarray(low_passed(X.T, motion, cutoff).T)),
+        low_passed(given + drag - required, motion, cutoff),
+        low_passed(motion.torque + drag - required, motion, cutoff),
+        usable,
+        columns.map(lambda X: np.ascontiguousarray(low_passed(X.T, motion, cutoff).T)),
         along.variance,
         kinds,
         places,
@@ -200,6 +208,7 @@ def linear_effects(
         size,
         least,
         whole,
+        used,
         free,
         cutoff,
     )
@@ -219,11 +228,3 @@ def required_by_file(dynamics: Dynamics, body: Any, motion: MeasuredMotion) -> n
     """What the file asks for along a motion, (R, K): of links, joints and servos' damping."""
     joints = filed_torques(body, motion.q, motion.qd, motion.qdd, expected_sign(motion))
     return inverse(dynamics, body.parameters(), motion) + np.stack(joints, -1) + motion.servo_drag
-
-
-def limited(body: Any, torque: np.ndarray) -> np.ndarray:
-    """What servos give of the ``torque`` (R, K) that they demand; of other joints all of it."""
-    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
-    servos = [None if parts is None else parts.servo for parts in every]
-    limits = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]
-    return np.asarray(torque.clip(*np.transpose(limits)))

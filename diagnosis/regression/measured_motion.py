@@ -2,9 +2,10 @@
 
 Encoders, or angles that keypoints show, pass a Kalman smoother (:mod:`.wiener_smoother`). A torque is constant until
 the next row. It is averaged over the time that a row stands for, half a step to each side, as the motion is. Servos
-answer to the smoothed angle and velocity.
+answer to the smoothed angle and velocity. A stiff one with limits goes from one to the other within a row, as its
+target jumps: what it gives is the mean of min(max(u, low), high) at N moments of a row, and not that of the mean of u.
 
-Shapes: T rows of a recording, R rows of a motion, K joints. Units: rad, s, N·m.
+Shapes: T rows of a recording, R rows of a motion, K joints, N moments of a row. Units: rad, s, N·m.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from invdyn.diagnosis.regression.wiener_smoother import SmoothedAngles, smooth
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.articulated.as_filed import answered
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import Recording
 
 
@@ -27,8 +29,9 @@ class MeasuredMotion:
     """Posterior means (R, K) of angle, velocity and acceleration, their sds, and the torque (R, K).
 
     `demanded` (R, K) is K (c − q) of position servos, without limits and without their damping, whose torque is
-    `servo_drag`; elsewhere it is `torque`. `command` (R, K) is that before servos answer. `stretch` (R,) counts pieces
-    of a recording between which time jumps.
+    `servo_drag`; elsewhere it is `torque`. `within` (R, N, K) is what it differs by from that mean at moments of a row,
+    N = 1 where no servo has limits. `torque_sd` is what noise in the encoders makes of a servo's torque. `command`
+    (R, K) is that before servos answer. `stretch` (R,) counts pieces of a recording between which time jumps.
     """
 
     time: np.ndarray
@@ -39,7 +42,9 @@ class MeasuredMotion:
     qdd_sd: np.ndarray
     torque: np.ndarray
     demanded: np.ndarray
+    within: np.ndarray
     servo_drag: np.ndarray
+    torque_sd: np.ndarray
     command: np.ndarray
     stretch: np.ndarray
 
@@ -135,14 +140,53 @@ def _of_stretch(
 ) -> MeasuredMotion:
     q, qd, qdd = (np.ascontiguousarray(smoothed.mean[..., n]) for n in range(3))
     command = given = demanded = hold_mean(time, torque, smoothed.time)
-    drag = servo_damping(body) * qd
+    drag, within = servo_damping(body) * qd, np.zeros((len(q), 1, q.shape[1]))
     if not passive:
-        at = [torch.as_tensor(each) for each in (command, q, qd)]
-        given, whole = (answered(body, at[0], at[1], at[2], limited).numpy() for limited in (True, False))
-        demanded = whole + drag
+        demanded = _unlimited(body, command, q, qd) + drag
+        if any(parts is not None and parts.servo is not None and parts.servo.limited for parts in body.joint_parts):
+            within = _within_rows(time, torque, smoothed, body)
+        given = limited(body, demanded - drag, within)
     sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
+    answer = np.array([_answer_of(parts) for parts in body.joint_parts])
+    noise = np.einsum("ki,tkij,kj->tk", answer, smoothed.covariance[..., :2, :2], answer)
     where = np.full(len(q), number)
-    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, demanded, drag, command, where)
+    return MeasuredMotion(
+        smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, demanded, within, drag, np.sqrt(noise), command, where
+    )
+
+
+def _answer_of(parts: JointParts | None) -> tuple[float, float]:
+    """A servo's torque by angle and velocity, N·m/rad and N·m·s/rad."""
+    servo = None if parts is None else parts.servo
+    return (0.0, 0.0) if servo is None else (servo.stiffness, servo.damping)
+
+
+def _unlimited(body: ArticulatedBody, *state: np.ndarray) -> np.ndarray:
+    """Torques of motors under a command in states q, q̇, without limits."""
+    command, q, qd = (torch.as_tensor(each) for each in state)
+    return np.asarray(answered(body, command, q, qd, limited=False).numpy())
+
+
+def _within_rows(time: np.ndarray, torque: np.ndarray, smoothed: SmoothedAngles, body: ArticulatedBody) -> np.ndarray:
+    """What motors demand at N moments of each row (R, N, K), less its mean: q̈ is constant within a row."""
+    edges, number = _edges(smoothed.time, time), FIXED.moments_of_a_row
+    moments = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(number) + 0.5) / number
+    q, qd, qdd = (smoothed.mean[:, None, :, n] for n in range(3))
+    after = (moments - smoothed.time[:, None])[..., None]
+    held = torque[np.searchsorted(time, moments, side="right") - 1]
+    demanded = _unlimited(body, held, q + after * qd + 0.5 * after**2 * qdd, qd + after * qdd)
+    return demanded - demanded.mean(1, keepdims=True)
+
+
+def limited(body: ArticulatedBody, demanded: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Means (R, K) over a row of what servos give of what they demand, (R, K), which differs ``within`` it (R, N, K).
+
+    Of other joints all of it.
+    """
+    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
+    servos = [None if parts is None else parts.servo for parts in every]
+    bounds = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]
+    return np.asarray((demanded[:, None] + within).clip(*np.transpose(bounds)).mean(1))
 
 
 def servo_damping(body: ArticulatedBody) -> np.ndarray:
@@ -153,8 +197,12 @@ def servo_damping(body: ArticulatedBody) -> np.ndarray:
 
 def hold_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Means (R, K) over the steps around times ``at`` (R,) of ``values`` (T, K), each constant until the next row."""
-    middle = (at[1:] + at[:-1]) / 2
-    edges = np.concatenate([at[:1], middle, at[-1:]]).clip(time[0], time[-1])
+    edges = _edges(at, time)
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], 0)])
     area = np.stack([np.interp(edges, time, each) for each in total.T], -1)
     return np.diff(area, axis=0) / np.maximum(np.diff(edges), 1e-12)[:, None]
+
+
+def _edges(at: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Bounds (R + 1,) of the steps around times ``at`` (R,) of a recording's ``time`` (T,)."""
+    return np.concatenate([at[:1], (at[1:] + at[:-1]) / 2, at[-1:]]).clip(time[0], time[-1])

@@ -7,7 +7,8 @@ X are :mod:`.linear_effects` along a smoothed motion (:mod:`.measured_motion`); 
 How far that closes the gap is measured on the last third of the rows by a fit to the first two, in rms torque. Evidence
 trusts a model that no robot obeys, and may fit what does not last. So where those rows are predicted better by far by
 viscous and Coulomb friction at all joints, or by these and all links' numbers, as a plain least-squares fit has them,
-that is the answer. A servo's gain that was found first is dropped where it leaves more of them than the file's.
+that is the answer. A servo's gain that was found first is dropped where it leaves as much of them as the file's: where
+no gravity loads a hinge, its gain, damping and rotor have a factor in common, which no torque tells.
 
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
@@ -136,8 +137,10 @@ def regress(
         first, last = (motion, along), (other, expected(dynamics, body, other, passive))
     of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff)
     found = _tried(of, first, last, servo_gains(first[0], first[1].required, body), rules)
-    while found.worse.any():
-        found = _tried(of, first, last, ServoGains(np.where(found.worse, 1.0, found.gains.factor)), rules)
+    if found.gains.changed.any():
+        filed = _tried(of, first, last, ServoGains(np.ones(body.num_joints)), rules)
+        while (worse := found.no_better_than(filed)).any():
+            found = _tried(of, first, last, ServoGains(np.where(worse, 1.0, found.gains.factor)), rules)
     known, unseen, gains, best = found.known, found.unseen, found.gains, found.best
     own = [left_by(known, each.chosen) for each in found.fits]
     memory = float(correlation_times(own[best], first[0].stretch).max())
@@ -178,10 +181,16 @@ class _Tried:
     left: list[np.ndarray]
     best: int
 
-    @property
-    def worse(self) -> np.ndarray:
-        """(K,) whether a gain leaves more than the file's own: it was none."""
-        return self.gains.changed & (_rms(self.left[self.best]) > _rms(self.unseen.of_file))
+    def no_better_than(self, filed: "_Tried") -> np.ndarray:
+        """(K,) whether a gain leaves as much as the file does, or as a fit about the file's with a gain near that.
+
+        Shares of what a servo then gives are compared with that fit, unless most servos' gains are far: they are equal.
+        """
+        own, other = (_rms(each.left[each.best]) for each in (self, filed))
+        share, before = own / np.maximum(self.unseen.given, 1e-300), other / np.maximum(filed.unseen.given, 1e-300)
+        near = ~_gains_of(filed.known, filed.fits[filed.best].chosen).far.changed
+        as_much = (FIXED.max_behind_plain * share > before) & near & (self.gains.changed.mean() <= 0.5)
+        return self.gains.changed & (as_much | (FIXED.max_behind_plain * own > _rms(self.unseen.of_file)))
 
 
 Rows = tuple[MeasuredMotion, Expected]
@@ -219,12 +228,17 @@ def _columns_of(effects: LinearEffects, servos: ServoGains) -> list[int]:
     return [p for p, (kind, place) in every if kind == GAIN and place in new]
 
 
-def _nearer(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> ServoGains:
-    """Servos' gains about which the next regression is made; the same where this one finds them."""
+def _gains_of(effects: LinearEffects, chosen: Chosen) -> ServoGains:
+    """Gains that a choice has, times those that it is about."""
     found = {
         effects.places[p]: 1 + v for p, v in zip(chosen.columns, chosen.values, strict=True) if effects.kinds[p] == GAIN
     }
-    more = np.where(servos.changed, [found.get(place, 1.0) for place in joints_of(effects)], 1.0)
+    return ServoGains(np.array([found.get(place, 1.0) for place in joints_of(effects)]))
+
+
+def _nearer(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> ServoGains:
+    """Servos' gains about which the next regression is made; the same where this one finds them."""
+    more = np.where(servos.changed, _gains_of(effects, chosen).factor, 1.0)
     if np.abs(np.log(more)).max() < FIXED.equal_servo_gain:
         return servos
     return ServoGains(servos.factor * more)

@@ -64,6 +64,7 @@ class Stated:
     """An effect and its places, all of them where `everywhere`; nats that it gains over the set without it.
 
     `probability` is by place; of a link, that any of its numbers is another, or of all links', where none is its own.
+    `rivals` are other effects, by place, that explain as much there: a log may not tell them apart.
     """
 
     effect: str
@@ -71,6 +72,7 @@ class Stated:
     everywhere: bool
     gain_nats: float
     probability: Mapping[str, float] = field(default_factory=dict)
+    rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def sure(self) -> tuple[str, ...]:
@@ -102,6 +104,7 @@ def stated(
             gain,
             # numbers of links without a base parameter are in those of others
             {place: first.get((kind, place), any_link) for place in places},
+            {place: fit.rivals[kind, place] for place in places if (kind, place) in fit.rivals},
         )
         for kind, (places, gain) in found.items()
     )

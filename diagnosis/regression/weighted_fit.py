@@ -49,6 +49,7 @@ class Fitted:
     `discrepancy` (K, p, p) are A⁻¹ C_j A⁻¹ of torques that are tolerated: they add to what a number may be, and not to
     whether it is there.
     `others` are fits with one effect more, by that effect and its place, without regard to its least value.
+    `rivals` are effects that would explain as much in the stead of one at its place.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
     """
 
@@ -59,6 +60,7 @@ class Fitted:
     discrepancy: np.ndarray
     tolerance: float = 0.0
     others: Mapping[tuple[str, str], "Fitted"] = field(default_factory=dict)
+    rivals: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
 
     def shift(self, sums: np.ndarray) -> np.ndarray:
         """(S,) largest shift of sums (S, p) of coefficients by torques that are tolerated."""
@@ -119,7 +121,8 @@ def weighted_fit(
             also = choice.without_least(own).including(chosen, own)
             if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
                 added[kind, place] = fitted(also)
-    return replace(fitted(choice.with_gains(chosen)), others=added)
+    rivals = choice.rivals(chosen) if others else {}
+    return replace(fitted(choice.with_gains(chosen)), others=added, rivals=rivals)
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:

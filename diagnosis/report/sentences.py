@@ -15,6 +15,7 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
+from invdyn.diagnosis.regression.stated_numbers import Stated
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
@@ -158,7 +159,7 @@ def regression_words(regression: Regression) -> str:
         if stated.everywhere and not rest and len(stated.places) > 1:
             sure.append(f"{words} all {of}s")
         elif stated.sure:
-            sure.append(f"{words} {named([place_words(of, place) for place in stated.sure])}")
+            sure.append(f"{words} {named([_or_rivals(stated, place, of) for place in stated.sure])}")
         probable = [place for place in rest if stated.probability[place] >= 0.5]
         if probable:
             places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in probable]
@@ -166,6 +167,12 @@ def regression_words(regression: Regression) -> str:
     parts = [named(sure)] * bool(sure) + [f"perhaps {named(perhaps)}"] * bool(perhaps)
     without = "numbers that the parts of the log do not agree on" if regression.stated else "no effect"
     return " and ".join(parts) or without
+
+
+def _or_rivals(stated: Stated, place: str, of: str) -> str:
+    """A place, and which other effects may be there instead."""
+    rivals = [effect_words(effect) for effect in stated.rivals.get(place, ())]
+    return place_words(of, place) + (f" (or {' or '.join(rivals)} there)" if rivals else "")
 
 
 def interim(regression: Regression) -> str:

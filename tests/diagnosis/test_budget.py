@@ -3,17 +3,19 @@
 import sys
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import Rules, diagnose
-from invdyn.diagnosis.budget import Budget, Spent
+from invdyn.diagnosis.budget import Budget, Spent, work_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.report.sentences import details
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
@@ -109,7 +111,7 @@ def test_a_stopped_diagnosis_is_told(workers):
     def told(done, total, what):
         tried.append((done, what))
 
-    rules = Rules().replace(passes_per_row=1.0)
+    rules = Rules().replace(passes_per_row=12.0)
     found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told, rules=rules)
     told = found.to_json()["search"]
     assert told == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at, "planar_only": []}
@@ -118,6 +120,50 @@ def test_a_stopped_diagnosis_is_told(workers):
     assert line.startswith(f"The search stopped at the budget; {found.not_looked_at} candidate")
     assert (1, "screen and refine; no effect") in tried
     assert [done for done, _ in tried] == sorted(done for done, _ in tried)
+
+
+@pytest.mark.parametrize("given", [{"rules": Rules().replace(passes_per_row=1.0)}, {"budget": 0.05}])
+def test_a_search_that_cannot_come_to_its_first_screen_is_not_begun(given):
+    """The regression is the answer, which says what it does not examine."""
+    tried = []
+
+    def told(done, total, what):
+        tried.append(what)
+
+    found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, progress=told, **given)
+    assert not any("screen" in what for what in tried)
+    assert found.not_looked_at == 2
+    assert found.regression is not None
+    assert found.causes == ()
+    (said,) = [sentence for sentence in details(found) if "No causes were searched for" in sentence]
+    assert said.endswith("which does not examine a payload, camera roll.")
+    # viscous friction is doubtful by these 60 rows of keypoints, and what is missing is less than their noise
+    assert not any(stated.sure for stated in found.regression.stated)
+    assert not found.gap.detected
+    assert max(found.gap.residual_torque_rms.values()) < 3 * max(found.gap.tolerated_torque.values())
+
+
+def test_a_torque_beyond_the_noise_is_a_gap_whatever_is_stated():
+    recording = recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, damping=1.5)
+    found = diagnose(recording, PENDULUM, without=LEFT_OUT, budget=0.05)
+    assert found.gap.detected
+    assert max(found.gap.residual_torque_rms.values()) > 3 * max(found.gap.tolerated_torque.values())
+
+
+def test_a_pass_of_a_robot_takes_the_cube_of_its_joints_in_threes():
+    def model(joints):
+        body = SimpleNamespace(num_joints=joints)
+        return SimpleNamespace(
+            body=body, torque_size=joints, state_dim=3 * joints, contact_states=None, substeps_taken=1
+        )
+
+    assert [work_of(2.0, model(joints), 50) for joints in (1, 2, 3, 6)] == [100.0, 100.0, 100.0, 800.0]
+    budget = Budget(work=1000.0)
+    assert budget.allows(2.0, model(6), 50, 0.8)
+    assert not budget.allows(2.0, model(6), 50, 0.79)
+    seconds = Budget(seconds=800.0 / FIXED.work_per_second)
+    assert seconds.allows(2.0, model(6), 50, 1.0)
+    assert not seconds.allows(2.0, model(6), 50, 0.99)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])

@@ -123,6 +123,10 @@ def test_the_regression_in_words(regression):
     assert "viscous friction at the elbow" in regression_words(one)
     assert "no effect" in interim(replace(regression, stated=()))
     friction = one.stated[0]
+    like = replace(friction, rivals={"elbow": ("joint_stiffness", "armature")})
+    assert regression_words(replace(one, stated=(like,))) == (
+        "Coulomb friction at the elbow (or joint stiffness or rotor inertia there)"
+    )
     doubted = [replace(one, stated=(replace(friction, probability={"elbow": p}),)) for p in (0.7, 0.3)]
     assert regression_words(doubted[0]) == "perhaps Coulomb friction at the elbow (70\xa0%)"
     assert "numbers that the parts of the log do not agree on explain" in interim(doubted[1])

@@ -14,10 +14,11 @@ from regressed import (
     recorded,
 )
 
+from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import expected, linear_effects, required_by_file
 from invdyn.diagnosis.regression.low_pass import cutoff_of
 from invdyn.diagnosis.regression.measured_motion import measured_motion
-from invdyn.diagnosis.regression.regress import regress
+from invdyn.diagnosis.regression.regress import _Tried, regress
 from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
 from invdyn.diagnosis.regression.stated_numbers import drawn, of_joints
@@ -87,6 +88,67 @@ def test_rows_in_which_a_servo_is_at_its_limit_say_nothing():
     target = halfway(motion, motion.q + np.where(beyond, 3.0 * whole.torques, whole.torques) / 60.0)
     own = found(regress(replace(whole, torques=60.0 * target), body))
     assert own["coulomb_friction", "shoulder", "torque"].value == pytest.approx(0.5, rel=0.25)
+
+
+def test_a_stiff_servo_goes_from_limit_to_limit_within_a_row():
+    """Its mean torque over a row, against that of 20,000 moments; of the mean demand alone it is far off."""
+    motor = Motor("position", 900.0, 900.0, 2.0, low=-3.0, high=4.0)
+    plain = planar_body("one", [Link("upper", "shoulder", "elbow", 0.4, 1.5)], gravity=(0.0, 0.0))
+    body = replace(plain, links=(replace(plain.links[0], parts=JointParts(motor=motor)),))
+    time = np.arange(300) / RATE
+    target = 0.4 * np.sin(3.0 * time)[:, None] + 0.004
+    rows = Recording(time, np.empty((300, 0, 2)), (), None, target - 0.004, 900.0 * target, ("shoulder",))
+    seen = measured_motion(rows, body)
+    off = []
+    for t, mean, given in zip(seen.time[5:-5], seen.demanded[5:-5, 0], seen.torque[5:-5, 0], strict=True):
+        at = t + (np.arange(20000) + 0.5) / 20000 / RATE - 0.5 / RATE
+        held = target[np.floor(at * RATE + 1e-9).astype(int), 0]
+        exact = np.clip(900.0 * (held - 0.4 * np.sin(3.0 * at)) - 2.4 * np.cos(3.0 * at), -3.0, 4.0).mean()
+        off.append((given - exact, np.clip(mean - 2.4 * np.cos(3.0 * t), -3.0, 4.0) - exact))
+    exact, of_mean = np.sqrt(np.mean(np.square(off), 0))
+    assert exact < 0.05
+    assert of_mean > 10 * exact
+
+
+def test_a_gain_stays_only_where_it_leaves_less_of_what_a_servo_gives():
+    """The second leaves as large a share as the file's, the third more than the file alone; the fourth is its own.
+
+    The fifth leaves as much as a fit about the file's gain that finds it far off, too. Of a robot most of whose servos
+    are far from their file's, one that leaves as large a share is, too.
+    """
+    count = 10
+    known = SimpleNamespace(kinds=("viscous_friction",) * count + ("actuator_gain",), places=(*"abcdefghij", "e"))
+    fit = SimpleNamespace(chosen=Chosen(columns=tuple(range(count + 1)), values=np.array([0.0] * count + [8.0])))
+
+    def tried(factor, left, given):
+        rows = np.ones((8, count))
+        unseen = SimpleNamespace(given=np.array(given), of_file=2.0 * rows)
+        return _Tried(known, unseen, ServoGains(np.array(factor)), [fit], [rows * left], 0)
+
+    filed = tried([1.0] * 10, [1.0, 1.0, 9.0, 1.0, 1.0] + [1.0] * 5, [4.0] * 10)
+    left, given = [0.1, 0.25, 3.0, 1.0, 0.25] + [1.0] * 5, [1.0, 1.0, 2.0, 4.0, 1.0] + [4.0] * 5
+    about = tried([9.0, 9.0, 9.0, 1.0, 9.0] + [1.0] * 5, left, given)
+    assert about.no_better_than(filed).tolist() == [False, True, True, False, False] + [False] * 5
+    most = tried([9.0, 9.0, 9.0, 1.0, 9.0] + [9.0] * 5, left[:5] + [0.1] * 5, given[:5] + [1.0] * 5)
+    assert most.no_better_than(filed).tolist() == [False, False, True, False, False] + [False] * 5
+
+
+def test_a_servo_at_its_limits_gives_no_more_with_another_gain(monkeypatch):
+    """Before any filter its column is what the file asks for elsewhere, and nothing there; others are whole."""
+    rows, body = servo_log(20, 1.0)
+    stops = replace(body.links[0].parts, motor=replace(body.links[0].parts.motor, low=-2.0, high=2.0))
+    body = replace(body, links=(replace(body.links[0], parts=stops), body.links[1]))
+    seen = measured_motion(rows, body)
+    along = expected(dynamics_for(body), body, seen, False)
+    monkeypatch.setattr("invdyn.diagnosis.regression.linear_effects.low_passed", lambda values, *_: values)
+    effects = linear_effects(body, seen, along, False, DEFAULT, np.inf)
+    names = list(zip(effects.kinds, effects.places, strict=True))
+    for k, joint in enumerate(body.joint_names):
+        there = effects.usable[:, k]
+        gain = effects.columns.of(names.index(("actuator_gain", joint)), k)
+        assert (0.1 < there.mean() < 0.9) == (k == 0)
+        assert gain == pytest.approx(np.where(there, along.required[:, k], 0.0), abs=1e-9)
+        assert effects.columns.of(names.index(("viscous_friction", joint)), k) == pytest.approx(seen.qd[:, k], abs=1e-9)
 
 
 @pytest.mark.parametrize("times", [1.0, 40.0])
