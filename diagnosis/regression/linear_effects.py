@@ -154,10 +154,12 @@ def linear_effects(
     rules: Rules,
     cutoff: float,
     factor: np.ndarray | float = 1.0,
+    gain: np.ndarray | float = 0.0,
 ) -> LinearEffects:
     """All columns of a body ``along`` a motion, in frequencies up to ``cutoff``, Hz.
 
-    ``factor`` (K,) is how many times a servo makes too much of its target's distance.
+    ``factor`` (K,) is how many times a servo makes too much of its target's distance. Of motors whose ``gain`` (K,) is
+    known nearly, what a link takes is commanded 1 + g times.
     """
     joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     required, number = along.required, along.columns.number
@@ -180,10 +182,14 @@ def linear_effects(
             own_damping = own.servo_damping if kind == DAMPING else 0.0
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
         names.append((kind, joints[k], name, of))
-    usable, columns = limited(body, wanted, np.zeros_like(wanted)[:, None]) == wanted, along.columns
-    gains = [kind == GAIN for kind, _, _ in along.labels] + [False] * (number - len(along.labels))
-    shown = [np.where(np.array(gains)[at][:, None], usable[:, k], 1.0) for k, at in enumerate(columns.at)]
-    columns = replace(columns, values=tuple(X * own for X, own in zip(columns.values, shown, strict=True)))
+    usable, count = limited(body, wanted, np.zeros_like(wanted)[:, None]) == wanted, len(along.labels)
+    gains = np.array([kind == GAIN for kind, _, _ in along.labels] + [False] * (number - count))
+    by = np.broadcast_to(1 + np.asarray(gain), len(joints))
+    shown = [
+        np.where(gains[at][:, None], usable[:, k], np.where(at < count, 1.0, by[k])[:, None])
+        for k, at in enumerate(along.columns.at)
+    ]
+    columns = replace(along.columns, values=tuple(X * own for X, own in zip(along.columns.values, shown, strict=True)))
     numbers = nominal_link_numbers(body)
     links, free = np.arange(len(names), number), np.ones(number, dtype=bool)
     own_numbers = np.concatenate([each.ravel() for each in (*numbers, np.zeros(0))])

@@ -149,7 +149,7 @@ def regress(
     )
     coefficients = named(known, found.fits[best].chosen, gains)
     there = Unseen(last[0], coefficients, unseen.of_file, found.left[best], known.cutoff, first[0], known.of_file)
-    whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor)
+    whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor, gain=found.motors)
     fit = weighted_fit(whole, motion, rules, PLAIN[best], _columns_of(known, gains), others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     return Regression(
@@ -171,12 +171,15 @@ def regress(
 class _Tried:
     """Fits as `PLAIN` has them, about servos' `gains`: to rows that are `known`, and what they leave of `unseen` ones.
 
+    Columns of links are of motors with the gains `motors` (K,).
+
     `best` is the number of the fit that is the answer, `left` (R, K) is of each.
     """
 
     known: LinearEffects
     unseen: LinearEffects
     gains: ServoGains
+    motors: np.ndarray
     fits: list[Fitted]
     left: list[np.ndarray]
     best: int
@@ -204,16 +207,22 @@ def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: Ser
         if (better := _nearer(known, chosen, gains)) is gains:
             break
         gains = better
-    gains = gains.far
-    known, unseen = (of(motion=motion, along=along, factor=gains.factor) for motion, along in (first, last))
-    before = _columns_of(known, gains)
-    fits = [weighted_fit(known, first[0], rules, plain, before) for plain in PLAIN]
+    gains, found = gains.far, np.zeros(len(gains.factor))
+    for _ in range(2):  # a motor's gain times a link's number is of second order: it is known once both are, nearly
+        motors = found
+        of_gains = partial(of, factor=gains.factor, gain=motors)
+        known, unseen = (of_gains(motion=motion, along=along) for motion, along in (first, last))
+        before = _columns_of(known, gains)
+        fits = [weighted_fit(known, first[0], rules, plain, before) for plain in PLAIN]
+        found = _gains_of(known, fits[0].chosen).factor - 1
+        if gains.changed.any() or not found.any():  # the links are the file's there
+            break
     left = [left_by(unseen, each.chosen) for each in fits]
     size = np.maximum(_rms(unseen.missing), 1e-300)
     tolerated = rules.evidence.tolerance * unseen.required
     errors = [float(np.linalg.norm(np.hypot(_rms(each), tolerated) / size)) for each in left]
     behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
-    return _Tried(known, unseen, gains, fits, left, int(np.argmin(errors)) if behind else 0)
+    return _Tried(known, unseen, gains, motors, fits, left, int(np.argmin(errors)) if behind else 0)
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

@@ -256,7 +256,7 @@ def test_motors_and_links_are_named_where_all_have_a_factor_in_common():
     assert stated["actuator_gain"] == {"p0", "p3"}
     assert stated["inertial_error"] == {"l4"}
     gains = [found(result)["actuator_gain", name, "gain"].value for name in ("p0", "p3")]
-    assert gains == pytest.approx([0.12, -0.1], abs=0.03)
+    assert gains == pytest.approx([0.12, -0.1], abs=0.01)
 
 
 def test_numbers_beside_a_gain_are_the_robots_own():

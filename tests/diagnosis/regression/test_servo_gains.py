@@ -123,7 +123,7 @@ def test_a_gain_stays_only_where_it_leaves_less_of_what_a_servo_gives():
     def tried(factor, left, given):
         rows = np.ones((8, count))
         unseen = SimpleNamespace(given=np.array(given), of_file=2.0 * rows)
-        return _Tried(known, unseen, ServoGains(np.array(factor)), [fit], [rows * left], 0)
+        return _Tried(known, unseen, ServoGains(np.array(factor)), np.zeros(count), [fit], [rows * left], 0)
 
     filed = tried([1.0] * 10, [1.0, 1.0, 9.0, 1.0, 1.0] + [1.0] * 5, [4.0] * 10)
     left, given = [0.1, 0.25, 3.0, 1.0, 0.25] + [1.0] * 5, [1.0, 1.0, 2.0, 4.0, 1.0] + [4.0] * 5
