@@ -10,10 +10,12 @@ import pytest
 from pendulum import ARM, PENDULUM, recording_of
 
 from invdyn.diagnosis import Rules, diagnose
+from invdyn.diagnosis.assessment.regression_alone import by_regression_alone
 from invdyn.diagnosis.budget import Budget, Spent, work_of
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
+from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.sentences import details
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -145,7 +147,9 @@ def test_a_search_that_cannot_come_to_its_first_screen_is_not_begun(given):
 
 def test_a_torque_beyond_the_noise_is_a_gap_whatever_is_stated():
     recording = recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, damping=1.5)
-    found = diagnose(recording, PENDULUM, without=LEFT_OUT, budget=0.05)
+    bound = replace(diagnosis_problem(recording, PENDULUM), budget=Budget(work=1.0))
+    silent = replace(regress(recording, PENDULUM), stated=())
+    found = by_regression_alone(silent, bound, LEFT_OUT, 0, passive=False, robot=False)
     assert found.gap.detected
     assert max(found.gap.residual_torque_rms.values()) > 3 * max(found.gap.tolerated_torque.values())
 
