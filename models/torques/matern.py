@@ -112,7 +112,8 @@ def triangular(root: Tensor) -> Tensor:
     """Lower-triangular L (..., n, n) with L Lᵀ = R Rᵀ, of a root R (..., n, m ≥ n)."""
     # Reduced, as torch cannot differentiate mode="r".
     upper = torch.linalg.qr(root.mT, mode="reduced").R
-    return upper.mT * torch.sign(upper.diagonal(dim1=-2, dim2=-1)).unsqueeze(-2)
+    negative = upper.diagonal(dim1=-2, dim2=-1) < 0  # of a root without full rank some are 0, and stay as they are
+    return torch.where(negative.unsqueeze(-2), -upper.mT, upper.mT)
 
 
 def interleaved(blocks: Tensor) -> Tensor:

@@ -166,10 +166,12 @@ def joint_covariance(process, parameters, time):
 LENGTHS = torch.tensor([0.15, 0.6], dtype=F64)
 
 
+@pytest.mark.parametrize("rough", [(0.3, 0.01), (-0.3, 0.0)])
 @pytest.mark.parametrize("grid", GRIDS)
-def test_a_smooth_and_a_rough_torque_have_the_sum_of_their_kernels(grid):
+def test_a_smooth_and_a_rough_torque_have_the_sum_of_their_kernels(grid, rough):
+    """The rough part's size counts without its sign, and may be zero."""
     time = GRIDS[grid]
-    rough, decay = torch.tensor([0.3, 0.01], dtype=F64), torch.tensor([20.0, 3.0], dtype=F64)
+    rough, decay = torch.tensor(rough, dtype=F64), torch.tensor([20.0, 3.0], dtype=F64)
     parameters = {"torque.scale": SCALE, "torque.lengthscale": LENGTHS}
     parameters |= {"torque.rough_scale": rough, "torque.rough_decay": decay}
     found = joint_covariance(SmoothAndRough(), parameters, time)
