@@ -207,10 +207,10 @@ def side_of(effect: Effect | type[Effect]) -> str:
     return "observation" if effect.sensor else "dynamics"
 
 
-def as_variant(effect: Effect, number: int = 1) -> Effect:
-    """The same effect in a non-ideal variant of its own class, by number."""
+def as_variant(effect: Effect, number: int | None = None) -> Effect:
+    """The same effect in a non-ideal variant of its own class, by number: by default the next one."""
     other = copy.copy(effect)
-    other.variant = number
+    other.variant = effect.variant + 1 if number is None else number
     return other
 
 

@@ -9,7 +9,7 @@ from pyro.distributions import Normal
 
 from invdyn.diagnosis import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.assessment.result import Finding
-from invdyn.diagnosis.catalogue import Catalogue
+from invdyn.diagnosis.catalogue import Catalogue, Variant
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.report import words
@@ -67,6 +67,15 @@ def test_it_is_considered_under_the_name_that_it_is_given():
     assert (found.name, found.key) == ("belt", ".".join(["belt", *ARM.joint_names]))
     assert bound.catalogue.of(found).effect is BeltDrag
     assert "belt" not in {effect.name for effect in considered(bound, ["belt"])}
+
+
+def test_variants_follow_one_another_to_the_last():
+    """Of one's own law too, whose class knows all of them by number."""
+    own = CATALOGUE | {"belt_drag": CatalogueEntry(BeltDrag, variants=(Variant({}), Variant({})))}
+    forms = [BeltDrag("shoulder", "elbow")]
+    while len(forms) < 5 and (form := own.nonideal(forms[-1])) is not None:
+        forms.append(form)
+    assert [form.variant for form in forms] == [0, 1, 2]
 
 
 def test_a_report_has_the_words_of_its_entry():
