@@ -28,6 +28,7 @@ from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, pla
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
 from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue, CatalogueEntry
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
@@ -84,7 +85,7 @@ def diagnose(
         passive: the torque is known to be zero.
         effects: the catalogue of effects to look for, by name, in which a class stands for an entry without words and
             relatives: ``CATALOGUE | {"belt": BeltDrag}`` has one of your own.
-        without: names of effects to leave out of the catalogue.
+        without: names of effects to leave out of the catalogue, and of the regression.
         most: effects at once, at most; by default `rules.search.max_effects`. More take longer, and may imitate what
             the catalogue lacks.
         seed: same seed, same result, for any number of workers.
@@ -144,7 +145,8 @@ def diagnose(
     bound = replace(bound, **shared)
     other = None if held_out is None else replace(bind(held_out), **shared)
     _check_regimes(bound, other)
-    said = regress(recording, body, passive=passive, rules=rules, held_out=held_out)
+    excluded = {*JOINT_KINDS, INERTIAL}.difference(bound.catalogue.without(without))
+    said = regress(recording, body, passive=passive, rules=rules, held_out=held_out, without=excluded)
     if said is not None and checkpoint is not None:
         write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")
     if said is not None and interim is not None:

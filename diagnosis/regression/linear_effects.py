@@ -19,6 +19,7 @@ Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry fri
 Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -155,11 +156,12 @@ def linear_effects(
     cutoff: float,
     factor: np.ndarray | float = 1.0,
     gain: np.ndarray | float = 0.0,
+    without: Collection[str] = (),
 ) -> LinearEffects:
     """All columns of a body ``along`` a motion, in frequencies up to ``cutoff``, Hz.
 
     ``factor`` (K,) is how many times a servo makes too much of its target's distance. Of motors whose ``gain`` (K,) is
-    known nearly, what a link takes is commanded 1 + g times.
+    known nearly, what a link takes is commanded 1 + g times. Effects ``without`` are not to be chosen.
     """
     joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     required, number = along.required, along.columns.number
@@ -201,6 +203,7 @@ def linear_effects(
         free[links] = False
     names += [(INERTIAL, link, name, of) for name, of in link_names(body, numbers) for link in body.link_names]
     kinds, places, parameters, units = zip(*names, strict=True)
+    free &= ~np.isin(kinds, list(without))
     return LinearEffects(
         low_passed(given + drag - required, motion, cutoff),
         low_passed(motion.torque + drag - required, motion, cutoff),

@@ -13,7 +13,7 @@ no gravity loads a hinge, its gain, damping and rotor have a factor in common, w
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -111,6 +111,7 @@ def regress(
     passive: bool = False,
     rules: Rules = DEFAULT,
     held_out: Recording | Sequence[Recording] | None = None,
+    without: Collection[str] = (),
 ) -> Regression | None:
     """What a recording's torques lack, by regression.
 
@@ -120,6 +121,7 @@ def regress(
         passive: the torques are zero.
         rules: the numbers that it follows.
         held_out: another recording of the same arm, to measure on; by default the last third of ``recording``.
+        without: names of effects that are not looked for.
 
     None where torques are unknown, or too few rows show all joints. Raises InputError where keypoints do not fit.
     """
@@ -135,17 +137,19 @@ def regress(
         first, last = ((motion.at(rows), along.at(rows)) for rows in (slice(count), slice(count, None)))
     else:
         first, last = (motion, along), (other, expected(dynamics, body, other, passive))
-    of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff)
-    found = _tried(of, first, last, servo_gains(first[0], first[1].required, body), rules)
+    of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff, without=without)
+    own = ServoGains(np.ones(body.num_joints))
+    gains = own if GAIN in without else servo_gains(first[0], first[1].required, body)
+    found = _tried(of, first, last, gains, rules)
     if found.gains.changed.any():
-        filed = _tried(of, first, last, ServoGains(np.ones(body.num_joints)), rules)
+        filed = _tried(of, first, last, own, rules)
         while (worse := found.no_better_than(filed)).any():
             found = _tried(of, first, last, ServoGains(np.where(worse, 1.0, found.gains.factor)), rules)
     known, unseen, gains, best = found.known, found.unseen, found.gains, found.best
-    own = [left_by(known, each.chosen) for each in found.fits]
-    memory = float(correlation_times(own[best], first[0].stretch).max())
+    fitted = [left_by(known, each.chosen) for each in found.fits]
+    memory = float(correlation_times(fitted[best], first[0].stretch).max())
     torque, plain = (
-        closing(unseen.of_file, found.left[n], (known.of_file, own[n])) for n in (best, PLAIN.index(FRICTION))
+        closing(unseen.of_file, found.left[n], (known.of_file, fitted[n])) for n in (best, PLAIN.index(FRICTION))
     )
     coefficients = named(known, found.fits[best].chosen, gains)
     there = Unseen(last[0], coefficients, unseen.of_file, found.left[best], known.cutoff, first[0], known.of_file)

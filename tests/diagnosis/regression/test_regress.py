@@ -18,6 +18,7 @@ from regressed import (
     recorded,
 )
 
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.hypotheses.regression_start import start_of
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
@@ -83,6 +84,17 @@ def test_a_rotor_at_one_joint_is_stated_there():
     result = regress(recorded(2, lambda m: m.qdd * np.array([0.0, 0.06])), BODY)
     assert [(s.effect, s.places) for s in result.stated] == [("armature", ("elbow",))]
     assert found(result)["armature", "elbow", "inertia"].value == pytest.approx(0.06, rel=0.05)
+
+
+def test_effects_that_are_left_out_are_not_named():
+    """Nor have they a probability; where all are left out nothing is the answer."""
+    recording = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]))
+    less = regress(recording, BODY, without=("armature",))
+    assert "armature" not in {each.effect for each in (*less.stated, *less.numbers, *less.others)}
+    assert {each.effect for each in less.others} == set(JOINT_KINDS) - {"armature"}
+    none = regress(recording, BODY, without=(*JOINT_KINDS, INERTIAL))
+    assert none.stated == none.others == ()
+    assert none.torque.share == pytest.approx(0, abs=1e-12)
 
 
 def test_a_heavier_link_is_found_by_its_base_parameters():

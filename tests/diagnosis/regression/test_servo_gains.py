@@ -61,6 +61,14 @@ def test_a_servos_gain_is_found_however_far_from_its_files(times):
     assert result.torque.share > 0.85
 
 
+def test_a_gain_that_is_left_out_is_not_found_first_either():
+    rows, body = servo_log(20, 40.0, seconds=4.0)
+    without = regress(rows, body, without=("actuator_gain",))
+    assert regress(rows, body).far_gains.keys() == set(BODY.joint_names)
+    assert without.far_gains == {}
+    assert "actuator_gain" not in {key[0] for key in without.coefficients}
+
+
 @pytest.mark.long
 def test_intervals_know_that_a_servos_gain_was_estimated():
     """Errors of six logs in standard deviations: of twelve, an rms of 1.5 has a chance of one in a hundred."""
