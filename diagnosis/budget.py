@@ -85,14 +85,6 @@ class Budget:
         """Count ``passes`` of a model along so many rows."""
         self.done += work_of(passes, model, rows)
 
-    def allows(self, passes: float, model: ArmModel, rows: int, share: float) -> bool:
-        """Whether a ``share`` of the budget has room for ``passes`` of a model along so many rows.
-
-        Of seconds, by what a pass usually takes.
-        """
-        seconds = self.seconds * FIXED.work_per_second
-        return work_of(passes, model, rows) <= share * min(self.work, seconds)
-
     def apart(self, part: Callable[[], T]) -> "Outcome[T]":
         """Run a part as if it were the only one."""
         before, results = (self.done, self.missed), []

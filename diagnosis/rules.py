@@ -359,7 +359,7 @@ class Fixed:
     difference_overlap: float = number(2.0, "1", "on a median's variance, as differences share rows", "chosen")
     growth_log_sd: float = number(1 / 3, "log", "sd of a noise at rest that was extrapolated", "measured")
     # -- what work costs, in passes
-    clear_torque: float = number(3.0, "1", "times what is tolerated, a missing torque is a gap", "chance: .001")
+    clear_torque: float = number(3.0, "1", "times what is tolerated, a missing torque is a gap", "chosen")
     inertia_rows: int = number(20, "rows", "of which one tells how noise in accelerations is torque", "effort")
     first_fit_passes: float = number(60.0, "passes", "until no effect is fitted", "measured")
     usual_joints: int = number(3, "joints", "up to which a pass takes the same time for each state", "measured")

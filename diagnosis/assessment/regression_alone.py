@@ -4,12 +4,13 @@ A search linearises about the file's numbers. Of a servo whose gain is some time
 recording in minutes, and no cause. What the regression's answer leaves is looked for in the file that it corrects.
 A search that the budget ends before its first screen says nothing of causes, either, and takes all of it: what a screen
 needs is the number of its columns (:mod:`..budget`). The regression's evidence is exact for effects in which the torque
-is linear, and the answer says which others were not examined.
+is linear, and the answer says which others were not examined, and what may be missing without showing.
 
 There is a gap where an effect is stated without a "perhaps", or where a torque is missing that is several times what is
 tolerated and what the encoders' noise makes of it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,7 +20,8 @@ from invdyn.diagnosis.assessment.assemble import nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import NO_SEARCH, Diagnosis, Gap, Shrinkage
-from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS
+from invdyn.diagnosis.budget import work_of
+from invdyn.diagnosis.catalogue.linear_laws import FRICTION, INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -43,16 +45,18 @@ def by_regression_alone(
     torque, effects = regression.torque, considered(problem, without)
     factors = list(regression.far_gains.values())
     if robot and factors and torque.share > 0:
-        return _answer(regression, problem, seed, passive, _far(factors), 0)
-    if _may_begin(problem, effects):
+        return _answer(regression, problem, seed, passive, _far(factors), True, 0)
+    needed = _first_screen(problem, effects)
+    if needed <= min(problem.budget.work, problem.budget.seconds * FIXED.work_per_second):
         return None
-    rest = [effect for effect in effects if effect.name not in {*JOINT_KINDS, INERTIAL}]
+    rest = [effect for effect in effects if effect.name not in {*(FRICTION if passive else JOINT_KINDS), INERTIAL}]
     names = sorted({problem.catalogue.of(effect).phrase or effect.name for effect in rest})
     words = (
-        "No causes were searched for, as the budget ends before a search's first screen: what is said is by "
-        f"regression, which does not examine {', '.join(names)}"
+        "No causes were searched for, as the budget ends before a search's first screen (--budget "
+        f"{math.ceil(needed / FIXED.work_per_second)} begins one): what is said is by regression"
     )
-    return _answer(regression, problem, seed, passive, words, len(rest))
+    words += f", which does not examine {', '.join(names)}" if names else ""
+    return _answer(regression, problem, seed, passive, words, False, len(rest))
 
 
 def _far(times: list[float]) -> str:
@@ -62,29 +66,29 @@ def _far(times: list[float]) -> str:
     )
 
 
-def _may_begin(problem: DiagnosisProblem, effects: Sequence[Effect]) -> bool:
-    """Whether the budget has room for a fit without any effect and one screen of these."""
+def _first_screen(problem: DiagnosisProblem, effects: Sequence[Effect]) -> float:
+    """Work of a budget whose share for the search has room for a fit without any effect and one screen of these."""
     model = problem.model
     columns = sum(cost_of(effect.bound(model.body), model) for effect in effects if not is_searched(effect))
     passes = FIXED.first_fit_passes + FIXED.column_cost * columns
-    return problem.budget.allows(passes, model, len(problem.observations), problem.rules.search.search_share)
+    return work_of(passes, model, len(problem.observations)) / problem.rules.search.search_share
 
 
 def _answer(
-    regression: Regression, problem: DiagnosisProblem, seed: int, passive: bool, words: str, missed: int
+    regression: Regression, problem: DiagnosisProblem, seed: int, passive: bool, words: str, far: bool, missed: int
 ) -> Diagnosis:
     body, rules, torque, nan = problem.model.body, problem.rules, regression.torque, float("nan")
     names = regression.joints
     before, after = (dict(zip(names, each.tolist(), strict=True)) for each in (torque.before, torque.after))
     empty = nothing_to_say(problem.problem.recording, body, seed, passive, "", rules)
     stated = [p for each in regression.stated for p in each.probability.values()]
-    sure = any(each.sure for each in regression.stated)
     limit = _tolerated(regression, problem)
-    large = bool((torque.before > FIXED.clear_torque * limit).any())
-    probability = max([*stated, float(large)])
+    large = far or bool((torque.before > FIXED.clear_torque * limit).any())
+    detected = large or any(each.sure for each in regression.stated)
+    probability = 1.0 if large else max(stated, default=nan)  # nothing says how probable is what does not show
     limits = dict(zip(names, limit.tolist(), strict=True))
-    gap = Gap(sure or large, probability, empty.gap.elpd_per_frame, before, empty.gap.replay_rms_m, limits)
-    found = bool(regression.stated)
+    gap = Gap(detected, probability, empty.gap.elpd_per_frame, before, empty.gap.replay_rms_m, limits)
+    found = detected and bool(regression.stated)
     return replace(
         empty,
         not_enough_data=None,

@@ -244,8 +244,7 @@ class Diagnosis:
     change from run to run). `planar_only` names effects that are known for a chain in the plane alone, and so are not
     looked for in space. `posture` is what a picture of the body draws. `regression` says what a regression of the
     torque does, and `closing` how much of the missing torque, and of a replay's error, it and the search explain; None
-    where torques are unknown. `regressed` is the regression as a cause, where it is the answer of a
-    robot's log.
+    where torques are unknown. `regressed` is the regression as a cause, where it is the answer.
     `length_unit` is the recording's, such as "body length": m stands for it in all units, of torques too. In
     :meth:`to_json` `Cause.in_part` is
     "probability_in_part", `outside` "outside_catalogue" and an interval's `stop` its "end".
@@ -291,7 +290,8 @@ class Diagnosis:
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""
         written = {} if self.written is None else {"write_back": plain(self.written)}
-        search = {"stopped_at_the_budget": self.not_looked_at > 0, "not_looked_at": self.not_looked_at}
+        stopped, why = self.not_looked_at > 0, self.method.get(NO_SEARCH)
+        search = {"stopped_at_the_budget": stopped, "not_looked_at": self.not_looked_at, "not_begun": why}
         return {
             "schema": SCHEMA,
             "recording": self.recording,

@@ -74,7 +74,22 @@ def indistinguishable(diagnosis: Diagnosis, cause: Cause) -> tuple[tuple[str, ..
 
 
 def verdict(diagnosis: Diagnosis) -> str:
-    """One sentence."""
+    """One sentence; where no search was made it begins with that."""
+    if NO_SEARCH not in diagnosis.method:
+        return _verdict(diagnosis)
+    if diagnosis.gap.detected:
+        text = _verdict(diagnosis)
+        return f"By regression alone {text[0].lower()}{text[1:]}"
+    hidden = {joint: FIXED.clear_torque * limit for joint, limit in diagnosis.gap.tolerated_torque.items()}
+    joint, torque = max(hidden.items(), key=lambda each: each[1])
+    rest = ", and not all effects were examined" * bool(diagnosis.not_looked_at)
+    where = place_words("joint", joint)
+    return (
+        f"By regression alone no gap shows, but {handy(torque, 'N·m')} at {where} could be missing and not show{rest}."
+    )
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
     answer, probability = kind(diagnosis), percent(diagnosis.gap.probability)
     hidden = not diagnosis.knows_torque
     if answer == "not_enough_data" and diagnosis.not_enough_data is not None:
@@ -265,7 +280,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     answer = kind(diagnosis)
     if answer == "not_enough_data":
         return []  # the reason has the remedy
-    found = []
+    found = [f"{why}."] if (why := diagnosis.method.get(NO_SEARCH)) else []
     if answer != "none":
         found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
         found += changes(diagnosis) + at_edges(diagnosis)
@@ -281,10 +296,8 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "none" and diagnosis.gap.probability > 0.5 and (cause := best(diagnosis)):
         chance = percent(max(cause.probability, cause.in_part))
         found.append(f"The little that there is looks most like {cause_words(cause)} ({chance} probable).")
-    found += [
-        f"{text}." for key in (REFUSED, NO_SEARCH, LEFT_OUT, STEPS, UNCHECKED) if (text := diagnosis.method.get(key))
-    ]
-    if count := diagnosis.not_looked_at:
+    found += [f"{text}." for key in (REFUSED, LEFT_OUT, STEPS, UNCHECKED) if (text := diagnosis.method.get(key))]
+    if (count := diagnosis.not_looked_at) and not why:
         found.append(
             f"The search stopped at the budget; {count} candidate{'s were' if count > 1 else ' was'} not looked at "
             "(--budget gives more)."

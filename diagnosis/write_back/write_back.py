@@ -112,7 +112,7 @@ def best(diagnosis: Diagnosis) -> Cause | None:
     """The cause that most speaks for, by itself or in part; None where it changes no number of the file.
 
     Without a gap that is no effect, with the joints' and links' numbers that were learned. Where the regression is the
-    answer of a robot's log, it is the cause.
+    answer, it is the cause.
     """
     if diagnosis.regressed is not None:
         return diagnosis.regressed

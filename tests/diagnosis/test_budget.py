@@ -16,14 +16,17 @@ from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.regress import regress
-from invdyn.diagnosis.report.sentences import details
+from invdyn.diagnosis.report.numbers import handy
+from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.models.effects import EFFECTS
 from invdyn.recordings import InputError
 
 ROOM = sys.modules[diagnose.__module__]
+NOTHING_ELSE = {"not_begun": None, "planar_only": []}
 KEPT = ("viscous_friction", "payload", "camera_roll")
+LESS = tuple(name for name in EFFECTS if name not in ("payload", "viscous_friction", "joint_stiffness", "armature"))
 LEFT_OUT = tuple(name for name in EFFECTS if name not in KEPT)
 
 
@@ -116,7 +119,7 @@ def test_a_stopped_diagnosis_is_told(workers):
     rules = Rules().replace(passes_per_row=12.0)
     found = diagnose(rubbing(), PENDULUM, without=LEFT_OUT, workers=workers, progress=told, rules=rules)
     told = found.to_json()["search"]
-    assert told == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at, "planar_only": []}
+    assert told == {"stopped_at_the_budget": True, "not_looked_at": found.not_looked_at} | NOTHING_ELSE
     assert found.not_looked_at > 0
     (line,) = [sentence for sentence in details(found) if "budget" in sentence]
     assert line.startswith(f"The search stopped at the budget; {found.not_looked_at} candidate")
@@ -137,20 +140,32 @@ def test_a_search_that_cannot_come_to_its_first_screen_is_not_begun(given):
     assert found.not_looked_at == 2
     assert found.regression is not None
     assert found.causes == ()
-    (said,) = [sentence for sentence in details(found) if "No causes were searched for" in sentence]
+    said, *rest = details(found)
     assert said.endswith("which does not examine a payload, camera roll.")
+    assert not [sentence for sentence in rest if "budget" in sentence]
+    assert found.to_json()["search"]["not_begun"] == said[:-1]
     # viscous friction is doubtful by these 60 rows of keypoints, and what is missing is less than their noise
     assert not any(stated.sure for stated in found.regression.stated)
     assert not found.gap.detected
-    assert max(found.gap.residual_torque_rms.values()) < 3 * max(found.gap.tolerated_torque.values())
+    (tolerated,) = found.gap.tolerated_torque.values()
+    assert max(found.gap.residual_torque_rms.values()) < 3 * tolerated
+    assert verdict(found).startswith(
+        f"By regression alone no gap shows, but {handy(3 * tolerated, 'N·m')} at the pivot"
+    )
+    assert found.regressed is None
+    assert found.shrinkage.gap_closed is None
 
 
 def test_a_torque_beyond_the_noise_is_a_gap_whatever_is_stated():
     recording = recording_of(EFFECTS["viscous_friction"]("pivot"), rows=120, damping=1.5)
     bound = replace(diagnosis_problem(recording, PENDULUM), budget=Budget(work=1.0))
-    silent = replace(regress(recording, PENDULUM), stated=())
-    found = by_regression_alone(silent, bound, LEFT_OUT, 0, passive=False, robot=False)
+    said = regress(recording, PENDULUM)
+    answers = [replace(said, stated=()), said]
+    found, whole = (by_regression_alone(each, bound, LEFT_OUT, 0, passive=False, robot=False) for each in answers)
     assert found.gap.detected
+    assert found.regressed is None
+    assert verdict(whole).startswith("By regression alone there is a gap: viscous friction at the pivot explains")
+    assert whole.regressed is not None
     assert max(found.gap.residual_torque_rms.values()) > 3 * max(found.gap.tolerated_torque.values())
 
 
@@ -162,12 +177,29 @@ def test_a_pass_of_a_robot_takes_the_cube_of_its_joints_in_threes():
         )
 
     assert [work_of(2.0, model(joints), 50) for joints in (1, 2, 3, 6)] == [100.0, 100.0, 100.0, 800.0]
-    budget = Budget(work=1000.0)
-    assert budget.allows(2.0, model(6), 50, 0.8)
-    assert not budget.allows(2.0, model(6), 50, 0.79)
-    seconds = Budget(seconds=800.0 / FIXED.work_per_second)
-    assert seconds.allows(2.0, model(6), 50, 1.0)
-    assert not seconds.allows(2.0, model(6), 50, 0.99)
+
+
+def test_the_budget_that_is_said_to_begin_a_search_begins_it():
+    """In seconds, and as the same work where that is counted; of a log without torque a regression examines less."""
+    recording = replace(recording_of(rows=120), torques=None)
+    bound, said = (
+        diagnosis_problem(recording, PENDULUM, passive=True),
+        regress(recording, PENDULUM, passive=True, without=LESS),
+    )
+
+    def answer(**left):
+        return by_regression_alone(said, replace(bound, budget=Budget(**left)), LESS, 0, True, True)
+
+    none = answer(work=0.0)
+    words = none.method["search"]
+    seconds = float(words.split("--budget ")[1].split()[0])
+    assert words.endswith("does not examine a payload, joint stiffness, rotor inertia")
+    assert none.not_looked_at == 3
+    assert said.stated == ()
+    assert np.isnan(none.gap.probability)
+    work = FIXED.work_per_second
+    assert answer(seconds=seconds) is answer(work=seconds * work) is answer() is None
+    assert answer(seconds=seconds - 1).method == answer(work=(seconds - 1) * work).method == none.method
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
