@@ -62,10 +62,12 @@ def unexplained(problem: Problem, path: Tensor) -> list[str]:
             if (begin := _begins(own > limit, np.isfinite(own))) is not None:
                 bad = own > limit
                 large = float(np.median(own[bad]))
+                half = (int(bad.sum()) + 1) // 2
+                counted = "1 row" if half == 1 else f"{half} rows"
                 times = f", {large / sd:.2g} times its own jitter" if sd > 0 else ""
                 words = (
                     f"from {_row(problem, begin)} on {name} is off what this body can do, by {large:.2g} {unit} or "
-                    f"more in {(int(bad.sum()) + 1) // 2} rows{times}: it was lost, leaves the plane, changes its "
+                    f"more in {counted}{times}: it was lost, leaves the plane, changes its "
                     "lengths, or is another one"
                 )
                 lines.append((large / least, words))
