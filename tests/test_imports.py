@@ -209,7 +209,7 @@ def test_there_is_no_import_cycle(imports):
 def test_no_part_imports_its_own_package(imports):
     """from invdyn.models import X inside models/ works only in the order in which __init__ happens to import."""
     assert not [
-        f"{name} imports {other}"
+        f"{name} imports {other}: import from the file that defines the name, as {other}'s __init__.pyi has it"
         for name, others in imports.items()
         for other in others
         if FILES[other].name == "__init__.py" and name.startswith(f"{other}.") and other != "invdyn"
