@@ -76,6 +76,9 @@ def read_table(
     options["scale"] = None if unscaled else scale
     read = _in_plane if body.dimensions == 2 else _in_space
     recording, length = read(name, body, base, unscaled, as_filmed, options)
+    if base is not None and not {base, body.base_keypoint} & {*recording.keypoint_names}:
+        got = ", ".join(recording.keypoint_names) or "none"
+        raise InputError(f"{name}: expected a keypoint {base!r}, for --set base, got {got}: name the first joint's")
     with about(name):
         known = (body.base_keypoint, base, site_at_base(body))
         own, steady = next((each for each in known if each in recording.keypoint_names), None), recording

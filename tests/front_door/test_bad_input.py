@@ -98,6 +98,7 @@ BAD = {
     "frame rate given twice": ((*INFER, "--fps", "30"), "--fps"),
     "centimetres for metres": ((*INFER, "--units", "cm"), "--units"),
     "unknown format": ((*INFER, "--set", "format=magic"), "magic"),
+    "a base that is not there": ((*INFER, "--set", "base=hip"), "expected a keypoint 'hip', for --set base, got "),
     "no truth": ((*INFER, "--set", "truth=none.csv"), "none.csv"),
     "truth of another body": ((*INFER, "--set", "truth=hand.csv"), "elbow"),
     "truth is a recording": ((*INFER, "--set", "truth=rec.csv"), "rec.csv"),
