@@ -12,6 +12,8 @@ State z = (τ, s, ṡ): all torques, all smooth parts, their derivatives (N·m/s
 
 and the root of the covariance of (τ, s, ṡ) comes by a QR of both parts' roots, with no subtraction anywhere.
 
+At ρ = 0 exactly z has no density, which methods need: take Matérn-3/2 by itself.
+
 Parameters (..., K): "torque.scale" σ (N·m), "torque.lengthscale" ℓ (s), "torque.rough_scale" ρ (N·m) and
 "torque.rough_decay" λ (1/s).
 

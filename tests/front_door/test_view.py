@@ -310,6 +310,8 @@ def test_many_trials_that_do_not_count_are_a_table(study):
     assert view.doubts[2:] == ["t2 is left out: reason 2", "17 more, in the tables at the end of this page"]
     assert view.tables["Left out"] == [["trial", "subject", "session", "reason"], *(line.split(",") for line in lines)]
     assert "In doubt" not in view.tables
+    (study / "left_out.csv").write_text("\n".join(["trial,subject,session,reason", *lines[:4]]))
+    assert view_of(study, "touch").doubts[3:] == ["t3 is left out: reason 3"], "no line for a single one"
 
 
 def test_small_torques_have_a_small_unit(browser, make_posterior, tmp_path):

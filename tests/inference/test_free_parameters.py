@@ -55,14 +55,16 @@ def test_noise_torques_and_what_is_not_quite_known_are_fitted():
     assert every["torque.decay"] == Free("torque.decay", sd=1.0)
 
 
-def test_a_rough_part_may_be_none():
-    """Its prior is normal, of a twentieth of what joints typically bear, and as dense at zero as that."""
-    own = problem(SmoothAndRough())
+@pytest.mark.parametrize("sd", [0.05, 0.2])
+def test_a_rough_part_may_be_none(sd):
+    """Its prior is normal, by default of a twentieth of what joints typically bear, and nearly as dense at zero."""
+    own = problem(SmoothAndRough(**({} if sd == 0.05 else {"share": sd})))
+    assert "torque.rough_scale" in own.model.unconstrained
     typical = typical_torque(dynamics_for(body()), body().parameters())
     (rough,) = (each for each in free_parameters(own) if each.name == "torque.rough_scale")
     parameters = LogParameters(own.model, [rough])
     assert parameters.sd.tolist() == [1.0]
-    for phi, share in ((-1 / 3, 0.0), (0.0, 0.05 / 3), (1.0, 0.2 / 3)):
+    for phi, share in ((-1 / 3, 0.0), (0.0, sd / 3), (1.0, sd * 4 / 3)):
         there = parameters.at(torch.tensor([phi], dtype=torch.float64)).parameters
         assert there["torque.rough_scale"].tolist() == pytest.approx((share * typical).tolist(), abs=1e-15)
         assert parameters.of(there) == pytest.approx([phi], abs=1e-12)

@@ -191,21 +191,20 @@ def test_limbs_that_carry_a_base_may_hold_all_of_it():
 
 
 def test_joints_bear_what_motors_beyond_them_do_about_the_same_axis():
-    """A spring of 30 N·m/rad on a hinge 60° off the first one's axis, beyond a slide; its pull stays with slides."""
+    """A spring of 30 N·m/rad on a hinge 120° off the first one's axis, beyond a slide; its pull stays with slides."""
     speck = '<inertial pos="0 0 0" mass=".01" diaginertia=".01 .01 .01"/>'
-    tilted = f"{np.sin(np.pi / 3)} 0 {np.cos(np.pi / 3)}"
+    axis = np.array([-np.sin(np.pi / 3), 0, -np.cos(np.pi / 3)])
     scene = Scene.of(
         f'<mujoco><option gravity="0 0 0"/><worldbody><site name="post"/><body>{speck}<joint axis="0 0 1"/>'
         f'<body pos="1 0 0">{speck}<joint type="slide" axis="0 1 0"/>'
-        f'<body>{speck}<joint axis="{tilted}" stiffness="30"/>'
+        f'<body>{speck}<joint axis="{axis[0]} 0 {axis[2]}" stiffness="30"/>'
         f'<body>{speck}<joint type="slide" axis="0 1 1" stiffness="40"/>'
         "</body></body></body></body></worldbody></mujoco>"
     )
     poses = np.random.default_rng(0).uniform(-1, 1, (20, 4))[1:]
     turn, push = 30 * np.abs(poses[:, 2]), 40 * np.abs(poses[:, 3])
     # The last slide's axis turns with the hinge (Rodrigues): its share along y is what the first slide bears.
-    axis, own = np.array([np.sin(np.pi / 3), 0, np.cos(np.pi / 3)]), np.array([0, 1, 1]) / 2**0.5
-    angle = poses[:, 2, None]
+    own, angle = np.array([0, 1, 1]) / 2**0.5, poses[:, 2, None]
     turned = own * np.cos(angle) + np.cross(axis, own) * np.sin(angle) + axis * (axis @ own) * (1 - np.cos(angle))
     expected = [turn.max() / 2, (push * np.abs(turned[:, 1])).max(), turn.max(), push.max()]
     assert typical_forces(scene) == pytest.approx(expected, rel=1e-6)
