@@ -95,22 +95,29 @@ def measured_motion(
     made = [
         _of_stretch(number, each, recording.time, torque, body, passive) for number, each in enumerate(smooth(parts))
     ]
-    motion = MeasuredMotion(**{name: np.concatenate([vars(each)[name] for each in made]) for name in vars(made[0])})
+    motion = _joined(made)
     sharp = motion.qdd_sd <= FIXED.max_edge_sd * np.median(motion.qdd_sd, 0) + np.finfo(float).tiny
     known = sharp.all(1) & np.isfinite(motion.torque).all(1)
-    return motion.at(known) if known.sum() >= rules.recording.min_rows else None
+    pieces_known = [np.flatnonzero(known & (motion.stretch == number)) for number in range(len(made))]
+    runs = [run for rows in pieces_known for run in _without_gaps(motion.time, rows)]
+    runs = [run for run in runs if len(run) >= rules.recording.min_rows]
+    split = [replace(motion.at(run), stretch=np.full(len(run), n)) for n, run in enumerate(runs)]
+    return _joined(split) if split else None
 
 
 def _one_after_another(motions: Sequence[MeasuredMotion]) -> MeasuredMotion | None:
     """Motions as stretches of one, a second apart."""
-    if not motions:
-        return None
     moved, end, number = [], 0.0, 0
     for motion in motions:
         time = motion.time - motion.time[0] + end
         moved.append(replace(motion, time=time, stretch=motion.stretch + number))
         end, number = float(time[-1]) + 1.0, number + int(motion.stretch.max()) + 1
-    return MeasuredMotion(**{name: np.concatenate([vars(each)[name] for each in moved]) for name in vars(moved[0])})
+    return _joined(moved) if moved else None
+
+
+def _joined(parts: Sequence[MeasuredMotion]) -> MeasuredMotion:
+    """Rows of all."""
+    return MeasuredMotion(**{name: np.concatenate([vars(p)[name] for p in parts]) for name in vars(parts[0])})
 
 
 def _without_gaps(time: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
@@ -196,11 +203,18 @@ def servo_damping(body: ArticulatedBody) -> np.ndarray:
 
 
 def hold_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Means (R, K) over the steps around times ``at`` (R,) of ``values`` (T, K), each constant until the next row."""
-    edges = _edges(at, time)
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], 0)])
-    area = np.stack([np.interp(edges, time, each) for each in total.T], -1)
-    return np.diff(area, axis=0) / np.maximum(np.diff(edges), 1e-12)[:, None]
+    """Means (R, K) over the steps around times ``at`` (R,) of ``values`` (T, K), each constant until the next row.
+
+    NaN where one that is not known, NaN, is part of it.
+    """
+    edges, unknown = _edges(at, time), np.isnan(values)
+
+    def area(values: np.ndarray) -> np.ndarray:
+        total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], 0)])
+        return np.diff(np.stack([np.interp(edges, time, each) for each in total.T], -1), axis=0)
+
+    mean = area(np.where(unknown, 0.0, values)) / np.maximum(np.diff(edges), 1e-12)[:, None]
+    return np.where(area(unknown.astype(float)) > 0, np.nan, mean)
 
 
 def _edges(at: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -160,6 +160,21 @@ def test_a_torque_is_averaged_over_the_time_that_a_row_stands_for():
     time = np.array([0.0, 1.0, 2.0, 3.0])
     mean = hold_mean(time, np.array([[1.0], [3.0], [5.0], [7.0]]), np.array([0.0, 1.0, 2.0, 3.0]))
     assert mean[:, 0].tolist() == [1.0, 2.0, 4.0, 5.0]
+    some = hold_mean(time, np.array([[1.0], [np.nan], [5.0], [7.0]]), np.array([0.0, 1.0, 2.0, 3.0]))
+    assert some[:, 0] == pytest.approx([1.0, np.nan, np.nan, 5.0], nan_ok=True)
+
+
+def test_a_torque_that_is_missing_hides_its_own_rows_alone():
+    """Of many in a row the rest are two stretches, as of a log with a gap."""
+    whole = recorded(0, friction, seconds=6.0)
+    times = []
+    for rows in (slice(400, 401), slice(400, 500)):
+        torques = whole.torques.copy()
+        torques[rows, 1] = np.nan
+        motion = measured_motion(replace(whole, torques=torques), BODY)
+        times.append(set(measured_motion(whole, BODY).time) - set(motion.time))
+        assert set(motion.stretch) == ({0} if rows.stop == 401 else {0, 1})
+    assert times == [set(whole.time[400:402]), set(whole.time[400:501])]
 
 
 def test_a_gap_begins_another_stretch():
