@@ -169,6 +169,32 @@ def test_a_torque_beyond_the_noise_is_a_gap_whatever_is_stated():
     assert max(found.gap.residual_torque_rms.values()) > 3 * max(found.gap.tolerated_torque.values())
 
 
+def test_what_is_tolerated_has_its_share_of_what_the_file_asks_for():
+    """In squares, next to the noise; a pendulum asks for I q̈ + m g c cos q."""
+    recording = recording_of(rows=120)
+    said, limits = regress(recording, PENDULUM), []
+    for share in (0.1, 0.3):
+        bound = diagnosis_problem(recording, PENDULUM, rules=Rules().replace(tolerance=share))
+        bound = replace(bound, budget=Budget(work=0.0))
+        limits.append(by_regression_alone(said, bound, LESS, 0, False, False).gap.tolerated_torque["pivot"])
+    motion = said.unseen.motion
+    asked = 0.03 * motion.qdd + 9.81 * 0.15 * np.cos(motion.q)
+    assert limits[1] ** 2 - limits[0] ** 2 == pytest.approx((0.3**2 - 0.1**2) * (asked**2).mean())
+
+
+def test_a_robots_far_gains_are_a_gap_whatever_the_budget_where_they_close_torque():
+    bound, said = diagnosis_problem(rubbing(), PENDULUM), regress(rubbing(), PENDULUM)
+    far = replace(said, stated=(), far_gains={"pivot": 8.0}, torque=replace(said.torque, share=0.1))
+    found = by_regression_alone(far, bound, LEFT_OUT, 0, False, True)
+    assert found.gap.detected
+    assert found.to_json()["search"]["not_begun"].startswith(
+        "No causes were searched for: the log shows servo gains of 8"
+    )
+    worse = replace(far, torque=replace(far.torque, share=-0.1))
+    others = [(far, False), (said, True), (worse, True)]
+    assert [by_regression_alone(each, bound, LEFT_OUT, 0, False, robot) for each, robot in others] == [None] * 3
+
+
 def test_a_pass_of_a_robot_takes_the_cube_of_its_joints_in_threes():
     def model(joints):
         body = SimpleNamespace(num_joints=joints)

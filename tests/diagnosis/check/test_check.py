@@ -1,6 +1,7 @@
 """A log of MuJoCo's arm with one thing wrong with it, and what is said of it."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from robot_log import ARM, robot_log
 from servo_log import SERVO_ARM, write_mapping, write_servo_log
 
 from invdyn.diagnosis.check.check import check
+from invdyn.diagnosis.check.mistakes import Mistake, _order
 from invdyn.inputs import read_logs
 from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts
@@ -142,6 +144,13 @@ def test_exchanged_columns_of_a_mapping_leave_signs_and_zeros_where_they_are(log
     (wrong,) = check(mapped(tmp_path, log, -1, 0.5, "21"), ARM, effects=False).mistakes
     assert (wrong.kind, wrong.words) == ("exchanged", "the columns are exchanged")
     assert wrong.after < 0.05
+
+
+def test_of_mistakes_that_mirror_each_other_that_nearer_the_base_is_said_first():
+    """Their misfits differ in the last digit alone; one that is better by more comes first, wherever it is."""
+    base, tip = (Mistake("direction", (k,), "", "", -1.0, lambda motion: motion) for k in range(2))
+    assert min([(0.1 - 1e-15, tip), (0.1, base)], key=partial(_order, False))[1] is base
+    assert min([(0.1 - 1e-3, tip), (0.1, base)], key=partial(_order, False))[1] is tip
 
 
 def test_a_sign_of_a_servo_is_wrong_about_the_zero_of_its_file(tmp_path):
