@@ -17,6 +17,7 @@ from invdyn.diagnosis.hypotheses.search import search
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.numbers import handy
+from invdyn.diagnosis.report.report import render
 from invdyn.diagnosis.report.sentences import details, verdict
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -166,6 +167,9 @@ def test_a_torque_beyond_the_noise_is_a_gap_whatever_is_stated():
     assert found.regressed is None
     assert verdict(whole).startswith("By regression alone there is a gap: viscous friction at the pivot explains")
     assert whole.regressed is not None
+    page = render(whole)
+    assert page.index("By regression alone") < page.index("No causes were searched for")
+    assert "the search has others too" not in page
     assert max(found.gap.residual_torque_rms.values()) > 3 * max(found.gap.tolerated_torque.values())
 
 
