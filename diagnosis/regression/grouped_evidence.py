@@ -13,11 +13,11 @@ P(one | several | all). The set grows and shrinks by the step that gains most, u
 
 No model of a real robot is right, and evidence takes what is left for chance. So a step counts only if it also predicts
 better, by more than the standard error of that: in F folds of neighbouring rows, each predicted by a fit to the others
-(Stone 1974; Racine 2000). One that leaves effects out counts where its error is within a standard error (the rule of
-Breiman, Friedman, Olshen & Stone 1984).
+(Stone 1974; Racine 2000; the one-standard-error rule: Breiman, Friedman, Olshen & Stone 1984).
 
 Gains of all motors and masses of all links have a factor in common, which no torque shows. No single place can leave
 such a set, as the others keep the factor. So steps keep the n places whose values are farthest from the median, too.
+One that leaves such effects out counts where its error is no larger by a standard error.
 
 A friction, a rotor or a spring that would be less than nothing at some joint is left out there.
 
@@ -86,7 +86,7 @@ class Choice:
     """All that may be stated: for each kind its places and their columns; sizes and least values of columns (P,).
 
     `tolerated` (K,) N·m is what need not be explained: noise is that much at least. `within` names kinds whose columns
-    are among those of another: a place has one of them.
+    are among those of another: a place has one of them. Effects of `common` kinds have a factor in common.
     """
 
     moments: Moments
@@ -96,17 +96,18 @@ class Choice:
     tolerated: np.ndarray
     rules: Rules
     within: Mapping[str, str] = field(default_factory=dict)
+    common: Collection[str] = ()
 
-    def chosen(self, start: Sequence[Statement] = ()) -> Chosen:
-        """The set of highest score that single steps lead to from ``start``."""
-        best = self._fitted(tuple(start))
+    def chosen(self) -> Chosen:
+        """The set of highest score that single steps lead to."""
+        best = self._fitted(())
         best = replace(best, unseen=self._unseen(best))
         while True:
             tried = [self._fitted(step) for step in self._steps(best)]
             least = best.score + self.rules.search.equal_gain
             better = sorted((each for each in tried if each.score > least), key=lambda each: -each.score)
             predicted = (replace(each, unseen=self._unseen(each)) for each in better)
-            if (step := next((each for each in predicted if _counts(best, each)), None)) is None:
+            if (step := next((each for each in predicted if self._counts(best, each)), None)) is None:
                 break
             best = step
         return best
@@ -207,6 +208,18 @@ class Choice:
         fit = -0.5 * float(m.count @ (np.log(noise**2) + 1.0)) - 0.5 * float(prior @ values**2) - 0.5 * determinant
         return Chosen(statements, tuple(columns), values, noise, fit + self._log_prior(statements))
 
+    def _counts(self, before: Chosen, after: Chosen) -> bool:
+        """Whether a step predicts better; of one that leaves out `common` effects, no worse by a standard error."""
+
+        def others(of: Chosen) -> dict[str, set[str]]:
+            return {s.kind: set(s.columns) for s in of.statements if s.kind not in self.common}
+
+        free = {*self.common} <= {s.kind for s in before.statements} and others(before) == others(after)
+        if len(after.columns) >= len(before.columns) or not free:
+            return lower(before.unseen, after.unseen)
+        error = before.unseen.std(ddof=1) / np.sqrt(len(before.unseen))
+        return bool(after.unseen.mean() <= before.unseen.mean() + error)
+
     def left_out(self, chosen: Chosen) -> np.ndarray:
         """(F, p) coefficients of fits without one fold each."""
         m, columns = self.moments, list(chosen.columns)
@@ -244,14 +257,6 @@ def _farthest(own: Statement, value: Mapping[int, float]) -> Iterator[tuple[str,
     middle = float(np.median(list(values.values())))
     order = sorted(values, key=lambda place: -abs(values[place] - middle))
     yield from (tuple(order[:n]) for n in range(1, len(order)))
-
-
-def _counts(before: Chosen, after: Chosen) -> bool:
-    """Whether a step predicts better; with fewer columns, whether it predicts no worse by a standard error."""
-    if len(after.columns) >= len(before.columns):
-        return lower(before.unseen, after.unseen)
-    error = before.unseen.std(ddof=1) / np.sqrt(len(before.unseen))
-    return bool(after.unseen.mean() <= before.unseen.mean() + error)
 
 
 def lower(before: np.ndarray, after: np.ndarray) -> bool:

@@ -35,7 +35,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, WITHIN
+from invdyn.diagnosis.catalogue.linear_laws import GAIN, INERTIAL, WITHIN
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
 from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
@@ -101,8 +101,8 @@ def weighted_fit(
         tau = np.clip(correlation_times(left, motion.stretch), least, max(least, longest))
         moments = _moments(effects, weights, tau)
         tolerated = rules.evidence.tolerance * effects.required
-        choice = Choice(moments, kinds, effects.size, effects.least, tolerated, rules, WITHIN)
-        chosen = choice.including(choice.chosen(chosen.statements) if plain is None else choice.plain(plain), before)
+        choice = Choice(moments, kinds, effects.size, effects.least, tolerated, rules, WITHIN, (GAIN, INERTIAL))
+        chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)
