@@ -13,8 +13,9 @@ no gravity loads a hinge, its gain, damping and rotor have a factor in common, w
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -153,7 +154,9 @@ def regress(
     )
     coefficients = named(known, found.fits[best].chosen, gains)
     there = Unseen(last[0], coefficients, unseen.of_file, found.left[best], known.cutoff, first[0], known.of_file)
-    whole = known if other is not None else of(motion=motion, along=along, factor=gains.factor, gain=found.motors)
+    whole = known
+    if other is None:
+        whole = _near(of(motion=motion, along=along, factor=gains.factor, gain=found.motors), gains)
     fit = weighted_fit(whole, motion, rules, PLAIN[best], _columns_of(known, gains), others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
     return Regression(
@@ -215,7 +218,7 @@ def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: Ser
     for _ in range(2):  # a motor's gain times a link's number is of second order: it is known once both are, nearly
         motors = found
         of_gains = partial(of, factor=gains.factor, gain=motors)
-        known, unseen = (of_gains(motion=motion, along=along) for motion, along in (first, last))
+        known, unseen = (_near(of_gains(motion=motion, along=along), gains) for motion, along in (first, last))
         before = _columns_of(known, gains)
         fits = [weighted_fit(known, first[0], rules, plain, before) for plain in PLAIN]
         found = _gains_of(known, fits[0].chosen).factor - 1
@@ -239,6 +242,14 @@ def _columns_of(effects: LinearEffects, servos: ServoGains) -> list[int]:
     new = {place for place, changed in zip(joints_of(effects), servos.changed, strict=True) if changed}
     every = enumerate(zip(effects.kinds, effects.places, strict=True))
     return [p for p, (kind, place) in every if kind == GAIN and place in new]
+
+
+def _near(effects: LinearEffects, servos: ServoGains) -> LinearEffects:
+    """Gains that were found first stay within what a regression about them takes; others are the file's then."""
+    own = _columns_of(effects, servos)
+    least = effects.least.copy()
+    least[own] = math.exp(-FIXED.linear_servo_gain) - 1
+    return replace(effects, least=least)
 
 
 def _gains_of(effects: LinearEffects, chosen: Chosen) -> ServoGains:

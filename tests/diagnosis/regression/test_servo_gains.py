@@ -18,12 +18,12 @@ from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import expected, linear_effects, required_by_file
 from invdyn.diagnosis.regression.low_pass import cutoff_of
 from invdyn.diagnosis.regression.measured_motion import measured_motion
-from invdyn.diagnosis.regression.regress import _Tried, regress
+from invdyn.diagnosis.regression.regress import _near, _Tried, regress
 from invdyn.diagnosis.regression.regressors import inverse
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
 from invdyn.diagnosis.regression.stated_numbers import drawn, of_joints
 from invdyn.diagnosis.regression.weighted_fit import weighted_fit
-from invdyn.diagnosis.rules import DEFAULT
+from invdyn.diagnosis.rules import DEFAULT, FIXED
 from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.dynamics.registry import dynamics_for
@@ -139,6 +139,18 @@ def test_a_gain_stays_only_where_it_leaves_less_of_what_a_servo_gives():
     assert about.no_better_than(filed).tolist() == [False, True, True, False, False] + [False] * 5
     most = tried([9.0, 9.0, 9.0, 1.0, 9.0] + [9.0] * 5, left[:5] + [0.1] * 5, given[:5] + [1.0] * 5)
     assert most.no_better_than(filed).tolist() == [False, False, True, False, False] + [False] * 5
+
+
+def test_a_gain_found_first_stays_within_what_a_regression_about_it_takes():
+    """A factor of that many times, and no more; the gain of another joint keeps its own bound."""
+    rows, body = servo_log(20, 1.0)
+    seen = measured_motion(rows, body)
+    effects = linear_effects(body, seen, expected(dynamics_for(body), body, seen, False), False, DEFAULT, np.inf)
+    least = _near(effects, ServoGains(np.array([9.0, 1.0]))).least
+    changed = [(effects.kinds[p], effects.places[p]) for p in np.flatnonzero(least != effects.least)]
+    assert changed == [("actuator_gain", body.joint_names[0])]
+    (own,) = least[least != effects.least]
+    assert -np.log1p(own) == pytest.approx(FIXED.linear_servo_gain)
 
 
 def test_a_servo_at_its_limits_gives_no_more_with_another_gain(monkeypatch):
