@@ -4,7 +4,7 @@ A real recording always has something left, so a search that ends when nothing i
 not timed: the same recording gets the same answer on every machine, with any number of workers. Its unit is one pass, a
 linearisation of the plain arm along every row; a model with hidden states or sub-steps takes more of them,
 
-    work = passes · T (D/D₀)² (3 + s)/4 max(1, (K/3)³),
+    work = passes · T (D/D₀)² (3 + s)/4,        in space · max(1, (K/3)³),
 
 of T rows, D states, D₀ those of the plain arm, s sub-steps a row and K joints, and a budget allows so many passes a
 row. Where seconds are given, the clock ends it instead, and the result depends on the machine. The best so far is
@@ -109,8 +109,15 @@ def work_of(passes: float, model: ArmModel, rows: int) -> float:
     joints = model.body.num_joints
     plain = model.torque_size + 2 * joints
     passes *= FIXED.rowwise_cost if model.contact_states is not None else 1.0
-    passes *= max(1.0, (joints / FIXED.usual_joints) ** 3)
+    if not model.body.is_chain:
+        passes *= max(1.0, (joints / FIXED.usual_joints) ** 3)
     return passes * rows * (model.state_dim / plain) ** 2 * (3 + model.substeps_taken) / 4
+
+
+def work_per_second(model: ArmModel) -> float:
+    """What a usual machine does of a model in the plane, or in space."""
+    plane, space = FIXED.work_per_second
+    return plane if model.body.is_chain else space
 
 
 @dataclass(frozen=True)

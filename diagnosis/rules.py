@@ -362,8 +362,12 @@ class Fixed:
     clear_torque: float = number(3.0, "1", "times what is tolerated, a missing torque is a gap", "chosen")
     inertia_rows: int = number(20, "rows", "of which one tells how noise in accelerations is torque", "effort")
     first_fit_passes: float = number(60.0, "passes", "until no effect is fitted", "measured")
-    usual_joints: int = number(3, "joints", "up to which a pass takes the same time for each state", "measured")
-    work_per_second: float = number(1e5, "passes · rows/s", "of a usual machine", "measured")
+    usual_joints: int = number(
+        3, "joints", "in space, up to which a pass takes the same time for each state", "measured"
+    )
+    work_per_second: tuple[float, float] = number(
+        (5e5, 1e5), "passes · rows/s", "of a usual machine, in the plane and in space", "measured"
+    )
     column_cost: float = number(0.6, "passes", "of a column", "measured")
     linearise_cost: float = number(0.75, "passes", "of a linearisation", "measured")
     filter_cost: float = number(0.2, "passes", "of a filter of one size", "measured")

@@ -42,7 +42,8 @@ def compare(folder: str) -> None:
     files = [f"{folder}/rec.csv", "--body", "paper_planar_arm", "--set", f"truth={folder}/truth.csv"]
     made = ["--body", "paper_planar_arm", "--out", files[0], "--truth", f"{folder}/truth.csv"]
     subprocess.run([*invdyn, "simulate", *made], check=True)
-    chosen = ["--methods", "smc,laplace,svi", "--frames", "0:60", "--out", f"{folder}/comparison"]
+    chosen = ["--torque", "ornstein_uhlenbeck", "--methods", "smc,laplace,svi", "--frames", "0:60"]
+    chosen += ["--out", f"{folder}/comparison"]
     subprocess.run([*invdyn, "compare", *files, *chosen], check=True)
     figure = Image.open(next(Path(folder, "comparison").glob("*.png")))
     _keep(figure.resize((WIDTH, round(figure.height * WIDTH / figure.width)), Image.Resampling.LANCZOS), "compare.png")

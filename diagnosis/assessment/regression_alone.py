@@ -20,7 +20,7 @@ from invdyn.diagnosis.assessment.assemble import nothing_to_say
 from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import NO_SEARCH, Diagnosis, Gap, Shrinkage
-from invdyn.diagnosis.budget import work_of
+from invdyn.diagnosis.budget import work_of, work_per_second
 from invdyn.diagnosis.catalogue.linear_laws import FRICTION, INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
@@ -47,13 +47,14 @@ def by_regression_alone(
     if robot and factors and torque.share > 0:
         return _answer(regression, problem, seed, passive, _far(factors), True, 0)
     needed = _first_screen(problem, effects)
-    if needed <= min(problem.budget.work, problem.budget.seconds * FIXED.work_per_second):
+    speed = work_per_second(problem.model)
+    if needed <= min(problem.budget.work, problem.budget.seconds * speed):
         return None
     rest = [effect for effect in effects if effect.name not in {*(FRICTION if passive else JOINT_KINDS), INERTIAL}]
     names = sorted({problem.catalogue.of(effect).phrase or effect.name for effect in rest})
     words = (
         "No causes were searched for, as the budget ends before a search's first screen (--budget "
-        f"{math.ceil(needed / FIXED.work_per_second)} begins one): what is said is by regression"
+        f"{math.ceil(needed / speed)} begins one): what is said is by regression"
     )
     words += f", which does not examine {', '.join(names)}" if names else ""
     return _answer(regression, problem, seed, passive, words, False, len(rest))

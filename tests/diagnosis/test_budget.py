@@ -128,7 +128,7 @@ def test_a_stopped_diagnosis_is_told(workers):
     assert [done for done, _ in tried] == sorted(done for done, _ in tried)
 
 
-@pytest.mark.parametrize("given", [{"rules": Rules().replace(passes_per_row=1.0)}, {"budget": 0.05}])
+@pytest.mark.parametrize("given", [{"rules": Rules().replace(passes_per_row=1.0)}, {"budget": 0.005}])
 def test_a_search_that_cannot_come_to_its_first_screen_is_not_begun(given):
     """The regression is the answer, which says what it does not examine."""
     tried = []
@@ -199,14 +199,15 @@ def test_a_robots_far_gains_are_a_gap_whatever_the_budget_where_they_close_torqu
     assert [by_regression_alone(each, bound, LEFT_OUT, 0, False, robot) for each, robot in others] == [None] * 3
 
 
-def test_a_pass_of_a_robot_takes_the_cube_of_its_joints_in_threes():
-    def model(joints):
-        body = SimpleNamespace(num_joints=joints)
+def test_a_pass_of_a_robot_in_space_takes_the_cube_of_its_joints_in_threes():
+    def model(joints, plane=False):
+        body = SimpleNamespace(num_joints=joints, is_chain=plane)
         return SimpleNamespace(
             body=body, torque_size=joints, state_dim=3 * joints, contact_states=None, substeps_taken=1
         )
 
     assert [work_of(2.0, model(joints), 50) for joints in (1, 2, 3, 6)] == [100.0, 100.0, 100.0, 800.0]
+    assert work_of(2.0, model(6, plane=True), 50) == 100.0
 
 
 def test_the_budget_that_is_said_to_begin_a_search_begins_it():
@@ -227,7 +228,7 @@ def test_the_budget_that_is_said_to_begin_a_search_begins_it():
     assert none.not_looked_at == 3
     assert said.stated == ()
     assert np.isnan(none.gap.probability)
-    work = FIXED.work_per_second
+    work, _ = FIXED.work_per_second
     assert answer(seconds=seconds) is answer(work=seconds * work) is answer() is None
     assert answer(seconds=seconds - 1).method == answer(work=(seconds - 1) * work).method == none.method
 
