@@ -115,7 +115,8 @@ def _photograph(page: Path, name: str, window_size: tuple[int, int], script: str
 
 
 def _keep(picture: Image.Image, name: str) -> None:
-    picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(DOCS / name, optimize=True)
+    few = picture.convert("RGB").quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few.save(DOCS / name, optimize=True)
 
 
 def main() -> None:
