@@ -221,7 +221,7 @@ def diagnose(
             **arguments,
             progress=progress,
             checkpoint=given.checkpoint,
-            interim=lambda found: say(interim(found)),
+            interim=lambda found: say(f"First answer, until the final one: {interim(found)}"),
         )
     held_out, body, refined = arguments["held_out"], arguments["body"], None
     recordings = arguments["recording"] if isinstance(arguments["recording"], list) else [arguments["recording"]]
