@@ -36,7 +36,8 @@ from sensor_cases import FRICTION, GEAR, ROTOR
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.assessment.closing_measures import Closing, measured
 from invdyn.diagnosis.regression.regress import Regression, regress
-from invdyn.diagnosis.report.sentences import regression_words, verdict
+from invdyn.diagnosis.report.regression_sentences import regression_words
+from invdyn.diagnosis.report.sentences import verdict
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import Body, Link, load_body, planar_body
 from invdyn.recordings import Recording, load, load_truth

@@ -2,8 +2,9 @@
 
     python benchmarks/check.py [--robots] [--logs 20] [--clean 40] [--seed 40000] [--only zero,…] [--results FILE]
 
-With `--robots` the logs are those of eleven robots of two to seven joints (`check_robots.py`), read from an MJCF, a CSV
-and a map as a user's are: torque motors and servos, a passive joint, a slide, a coupled wrist, commands between rows.
+With `--robots` the logs are those of eleven robots of two to seven joints (`check_robots.py`), with mistakes that users
+report (`robot_mistakes.py`). They are read from an MJCF, a CSV and a map as a user's are: torque motors and servos, a
+passive joint, a slide, a coupled wrist, commands between rows.
 
 Else MuJoCo simulates random arms of one to three joints that a controller moves (`blindcheck.motion`); each log has
 encoders (noise of .1 to 2 mrad) and the torques given to the motors. Half of all logs, and half of those that are
@@ -17,8 +18,8 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-import check_robots
 import numpy as np
+import robot_mistakes
 from kept import kept
 
 from invdyn.blindcheck.cases import _wild
@@ -108,9 +109,9 @@ def main() -> None:
     options.add_argument("--robots", action="store_true", help="Logs of robots' own files.")
     options.add_argument("--results", type=Path, default=None, help="Where results are kept, a line a log.")
     given = options.parse_args()
-    kinds = (*check_robots.MISTAKES,) if given.robots else KINDS
+    kinds = (*robot_mistakes.MISTAKES,) if given.robots else KINDS
     started, wanted = clock.perf_counter(), [k for k in given.only.split(",") if k] or [*kinds, "none"]
-    answered = check_robots.answered if given.robots else one
+    answered = robot_mistakes.answered if given.robots else one
     print(
         "| what is wrong | named first | or as fitting as well | s a log | what else is said |\n|---|---|---|---|---|"
     )

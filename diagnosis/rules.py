@@ -359,8 +359,6 @@ class Fixed:
     difference_overlap: float = number(2.0, "1", "on a median's variance, as differences share rows", "chosen")
     growth_log_sd: float = number(1 / 3, "log", "sd of a noise at rest that was extrapolated", "measured")
     # -- what work costs, in passes
-    clear_torque: float = number(3.0, "1", "times what is tolerated, a missing torque is a gap", "chosen")
-    inertia_rows: int = number(20, "rows", "of which one tells how noise in accelerations is torque", "effort")
     first_fit_passes: float = number(60.0, "passes", "until no effect is fitted", "measured")
     usual_joints: int = number(
         3, "joints", "in space, up to which a pass takes the same time for each state", "measured"
@@ -410,6 +408,8 @@ class Fixed:
         (-6.0, 1.5, 0.25), "log10", "s/r of the smoother: first, last and step, where rows are 1 s apart", "effort"
     )
     moments_of_a_row: int = number(16, "1", "at which a servo with limits is looked at", "effort")
+    clear_torque: float = number(3.0, "1", "times what is tolerated, a missing torque is a gap", "chosen")
+    inertia_rows: int = number(20, "rows", "of which one tells how noise in accelerations is torque", "effort")
     max_regression_rows: int = number(4000, "rows", "of smoothed angles; more are averaged", "effort")
     regressor_rows: int = number(1000, "rows", "of links' regressors that are made at once", "effort")
     min_moving_share: float = number(0.2, "rows", "in which a joint turns, for those at rest not to count", "chosen")

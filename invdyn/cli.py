@@ -186,8 +186,9 @@ def diagnose(
     given.check_exist()
 
     from invdyn.diagnosis.diagnose import diagnose as run
+    from invdyn.diagnosis.report.regression_sentences import interim
     from invdyn.diagnosis.report.save import save
-    from invdyn.diagnosis.report.sentences import details, interim, verdict
+    from invdyn.diagnosis.report.sentences import details, verdict
     from invdyn.diagnosis.write_back.ensemble import write_ensemble, write_members
     from invdyn.diagnosis.write_back.write_back import write_back as corrected
     from invdyn.recordings import new_folder, whole_set

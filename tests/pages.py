@@ -2,19 +2,22 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 ROOT = Path(__file__).parents[1]
 
 
 def script(path: str) -> Any:
-    """The module of a script of the repository, such as "docs/sentences.py"."""
+    """The module of a script of the repository, such as "docs/sentences.py", which may import those of its folder."""
     spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with patch.object(sys, "path", [str((ROOT / path).parent), *sys.path]):
+        spec.loader.exec_module(module)
     return module
 
 

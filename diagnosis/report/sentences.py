@@ -13,16 +13,12 @@ from invdyn.diagnosis.assessment.result import (
     Where,
     named,
 )
-from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
-from invdyn.diagnosis.regression.regress import Regression
-from invdyn.diagnosis.regression.stated_numbers import Stated
-from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
+from invdyn.diagnosis.report.regression_sentences import interim, of_torque, regression_words
 from invdyn.diagnosis.report.words import (
     SIDES,
     cause_words,
-    effect_words,
     key_words,
     place_words,
     variable_words,
@@ -146,7 +142,7 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
         return None
     what = regression_words(regression) if by_regression else cause_words(cause) if cause else ""
     text = f"There is a gap{_place(diagnosis)}: {what} {'explain' if ' and ' in what else 'explains'} "
-    text += _of_torque(torque)
+    text += of_torque(torque)
     if closing.replay:
         longest = closing.replay[-1]
         share = longest.closed[closing.shown][0]
@@ -159,50 +155,6 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
         most = int(torque.after.argmax())
         rest = [rest[most]]
     return f"{text}; {named(rest)} {'are' if len(rest) > 1 else 'is'} left."
-
-
-def regression_words(regression: Regression) -> str:
-    """Effects and places of a regression: "viscous friction at all joints and perhaps a spring at the elbow (60 %)".
-
-    Numbers that are less probable than not are in the report's table alone.
-    """
-    sure, perhaps = [], []
-    for stated in regression.stated:
-        words, of = effect_words(stated.effect), "link" if stated.effect == INERTIAL else "joint"
-        words += " of" if of == "link" else " at"
-        rest = [place for place in stated.places if place not in stated.sure]
-        if stated.everywhere and not rest and len(stated.places) > 1:
-            sure.append(f"{words} all {of}s")
-        elif stated.sure:
-            sure.append(f"{words} {named([_or_rivals(stated, place, of) for place in stated.sure])}")
-        probable = [place for place in rest if stated.probability[place] >= 0.5]
-        if probable:
-            places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in probable]
-            perhaps.append(f"{words} {named(places)}")
-    parts = [named(sure)] * bool(sure) + [f"perhaps {named(perhaps)}"] * bool(perhaps)
-    without = "numbers that the parts of the log do not agree on" if regression.stated else "no effect"
-    return " and ".join(parts) or without
-
-
-def _or_rivals(stated: Stated, place: str, of: str) -> str:
-    """A place, and which other effects may be there instead."""
-    rivals = [effect_words(effect) for effect in stated.rivals.get(place, ())]
-    return place_words(of, place) + (f" (or {' or '.join(rivals)} there)" if rivals else "")
-
-
-def interim(regression: Regression) -> str:
-    """What a regression says before the search ends, one sentence."""
-    torque = regression.torque
-    if not regression.stated:
-        return "By regression alone no effect explains the torque better than the simulation does."
-    words = regression_words(regression)
-    verb = "explain" if " and " in words or "numbers" in words else "explains"
-    return f"By regression alone: {words} {verb} {_of_torque(torque)}."
-
-
-def _of_torque(torque: TorqueClosing) -> str:
-    low, high = (percent(end) if end > 0 else "none" for end in torque.interval_90)
-    return f"{percent(max(torque.share, 0.0))} of the missing torque ({low} to {high} of another motion's)"
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:

@@ -19,7 +19,8 @@ from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import approximation_doubt, scatter_doubt
 from invdyn.inference.filters.second_opinion import evidence as outer_evidence
-from invdyn.inference.fitting.log_parameters import Free, LogParameters, unidentified
+from invdyn.inference.fitting.identifiability import unidentified
+from invdyn.inference.fitting.log_parameters import Free, LogParameters
 from invdyn.inference.fitting.marginal_likelihood import fit
 from invdyn.inference.methods.vsmc_learner import Learner
 from invdyn.inference.posterior.posterior import combine, to_inference_data

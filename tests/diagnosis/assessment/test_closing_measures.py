@@ -12,7 +12,7 @@ from regressed import BODY, friction, recorded
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, behind, measured
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.regress import regress
-from invdyn.diagnosis.report.sentences import interim, regression_words
+from invdyn.diagnosis.report.regression_sentences import interim, regression_words
 from invdyn.models.effects import EFFECTS
 
 

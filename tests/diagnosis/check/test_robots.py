@@ -3,7 +3,7 @@
 import pytest
 from pages import script
 
-ROBOTS = script("benchmarks/check_robots.py")
+ROBOTS = script("benchmarks/robot_mistakes.py")
 SEED = 9000
 CLEAN = {robot.name: number for number, robot in enumerate(ROBOTS.ROBOTS)}
 

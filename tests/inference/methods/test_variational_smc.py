@@ -10,7 +10,8 @@ from oracles import random_chain
 from pyro.distributions import Normal
 
 from invdyn.inference import Free, ParticleFilter, SMCOptions, arm_problem, gauss_newton, pooled
-from invdyn.inference.fitting.log_parameters import LogParameters, unidentified
+from invdyn.inference.fitting.identifiability import unidentified
+from invdyn.inference.fitting.log_parameters import LogParameters
 from invdyn.inference.methods.variational_smc import vsmc
 from invdyn.inference.variational.affine import Corrected
 from invdyn.inference.variational.parameter_guide import SITE, Uncertain
