@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 
-import torch
 from pyro.distributions import LogNormal, Normal
 from torch import Tensor
 
@@ -11,7 +10,6 @@ from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.posterior.initialise import Problem
 from invdyn.models import ArmModel, ArticulatedBody
 from invdyn.models.bodies.scalars import in_normal_units
-from invdyn.models.torques.smooth_and_rough import BEGIN
 
 CLOCK, POSE = 0.05, {"turn": 0.05, "shift": 0.1}
 """s, rad and m: how far off the clocks and poses of cameras may be that are to be learned, standard deviations."""
@@ -28,14 +26,12 @@ def free_parameters(problem: Problem, given: Sequence[str] = (), learn_lengths: 
     the evidence of both would take that for a base that the arm does not feel.
     """
     body, observed = problem.model.body, [name for name in problem.model.parameters if name.startswith("emission.")]
-    begin = problem.model.parameters.get("torque.rough_scale", torch.zeros(0)).flatten() / BEGIN
-    rough = tuple(begin.tolist())
     wanted = [
         Free("torque.scale"),
         Free("torque.decay", sd=1.0),
         Free("torque.lengthscale", sd=1.0),
-        # Small, so that one joint hardly tells it: one share of the joints' torques, which may be 0, and one rate.
-        Free("torque.rough_scale", tied=True, sd=1.0, unit=rough),
+        # Small, so that one joint hardly tells it: one share of the joints' torques, and one rate, for all.
+        Free("torque.rough_scale", tied=True, sd=1.0),
         Free("torque.rough_decay", tied=True, sd=1.0),
         # One σ_y as in the paper; its ratio between keypoints is that of their misfits at the start.
         *(Free(name, sd=1.0) if name == "emission.df" else Free(name, tied=True) for name in observed),

@@ -42,6 +42,7 @@ from .observation.sensor import Sensor as Sensor
 from .state_space import StateSpaceModel as StateSpaceModel
 from .state_space import gaussian_mean as gaussian_mean
 from .state_space import gaussian_moments as gaussian_moments
+from .torques import SMOOTHNESS as SMOOTHNESS
 from .torques import TORQUE_PROCESSES as TORQUE_PROCESSES
 from .torques import Matern32 as Matern32
 from .torques import Matern52 as Matern52

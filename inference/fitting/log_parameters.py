@@ -21,16 +21,15 @@ class Free:
     """One parameter to be fitted: its entries separately, or ``tied`` to one common factor.
 
     ``sd`` is the prior's standard deviation of log(θ/θ_start); ``entries`` the flat indices that are
-    free, all of them by default. One that may be negative or zero has a ``unit`` instead, in its own measure, or one
-    for each free entry: it is θ_start + unit φ, and φ has the prior. Entries of one parameter may have several of
-    these.
+    free, all of them by default. One that may be negative has a ``unit`` instead, in its own measure: it is
+    θ_start + unit φ, and φ has the prior. Entries of one parameter may have several of these.
     """
 
     name: str
     tied: bool = False
     sd: float = 2.0
     entries: tuple[int, ...] | None = None
-    unit: float | tuple[float, ...] | None = None
+    unit: float | None = None
 
     def indices(self, size: int) -> tuple[int, ...]:
         """Flat indices of the free entries among ``size``."""
@@ -72,8 +71,8 @@ class LogParameters(Generic[M]):
             if (value := values.get(f.name)) is None:
                 continue
             start = self.model.parameters[f.name]
-            off = (value / start).log() if f.unit is None else value - start
-            own = off.flatten()[list(f.indices(start.numel()))].double() / _unit(f)
+            off = (value / start).log() if f.unit is None else (value - start) / f.unit
+            own = off.flatten()[list(f.indices(start.numel()))].double()
             own = torch.where(own.isfinite(), own, torch.nan)  # entries that are 0, as of a root, tell nothing
             phi[index] = own.nanmean().item() if f.tied else own.numpy()
         return np.nan_to_num(phi)
@@ -86,16 +85,11 @@ class LogParameters(Generic[M]):
             own = phi[..., index].to(start)
             place = own.new_zeros(len(index), start.numel())
             free = list(f.indices(start.numel()))
-            place[torch.arange(len(index)) if len(index) > 1 else 0, free] = _unit(f).to(own)
+            place[torch.arange(len(index)) if len(index) > 1 else 0, free] = 1.0
             change = own @ place
             if phi.ndim == 2:
                 change = change.unsqueeze(-2)
             change = change.reshape(*change.shape[:-1], *start.shape)
             there = values.get(f.name, start)
-            values[f.name] = there * change.exp() if f.unit is None else there + change
+            values[f.name] = there * change.exp() if f.unit is None else there + f.unit * change
         return self.model.replace(**values)
-
-
-def _unit(free: Free) -> Tensor:
-    """Of each free entry, or of all: what φ = 1 adds to it, or to its logarithm."""
-    return torch.tensor(1.0 if free.unit is None else free.unit, dtype=torch.float64)

@@ -1,26 +1,37 @@
-"""`--torque`: a process by name, or by default one with uncertain parameters."""
+"""`--torque`: a process by name, or by default a mixture of some."""
 
 import json
 
 import pytest
 
-from invdyn.inference import infer
-from invdyn.models import Body, Matern32, SmoothAndRough
-from invdyn.recordings import load
-from invdyn.summary import summary_text
+from invdyn.inference import load_posterior
+
+SMALL = ("--method", "laplace", "--filters", 2, "--set", "draws=2")
 
 
 @pytest.mark.long
-def test_the_most_probable_of_several_is_named(folder, run):
-    run("simulate", "--body", "arm.toml", "--out", "rec.csv", "--duration", "0.8", "--fps", "40")
-    both = (Matern32(), SmoothAndRough())
-    found = infer(load("rec.csv"), Body.load("arm.toml"), torque=both, method="laplace", num_filters=2, num_draws=2)
-    settings = json.loads(found.attrs["settings"])
+def test_the_most_probable_is_taken_and_named(folder, run):
+    run(
+        "simulate",
+        "--body",
+        "arm.toml",
+        "--out",
+        "rec.csv",
+        "--duration",
+        "0.8",
+        "--fps",
+        "40",
+        "--set",
+        "encoders=1e-4",
+    )
+    outcome = run("infer", "rec.csv", "--body", "arm.toml", "--out", "p.nc", *SMALL)
+    assert outcome.exit_code == 0, outcome.output
+    settings = json.loads(load_posterior("p.nc").attrs["settings"])
     evidence = settings["torque_evidence"]
     assert set(evidence) == {"Matern32", "SmoothAndRough"}
     best = settings["torque_process"]
     assert evidence[best] == max(evidence.values())
-    (line,) = (line for line in summary_text(found).splitlines() if line.startswith("torque process"))
+    (line,) = (line for line in outcome.stdout.splitlines() if line.startswith("torque process"))
     assert line.startswith(f"torque process {best}, by evidence; ")
     behind = {name: evidence[best] - value for name, value in evidence.items() if name != best}
     for name, nats in behind.items():

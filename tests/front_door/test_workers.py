@@ -98,7 +98,7 @@ def test_mpi_gives_the_same(simulated, run):
 @pytest.mark.long
 @pytest.mark.parametrize("torque_process", ["ornstein_uhlenbeck", "auto"])
 def test_killed_and_resumed_is_the_same(simulated, run, started, torque_process):
-    """Tasks are filters of one torque process, or sets of its parameters."""
+    """Tasks are filters of one torque process, or parameter sets of several."""
     pytest.importorskip("safetensors")
     one = (*INFER, "--filters", 12, "--torque", torque_process)
     call = (*one, "--checkpoint", "kept", "--out", "p.nc")

@@ -6,12 +6,10 @@ import torch
 from pyro.distributions import LogNormal, Normal, Uniform
 
 from invdyn.inference import Free
-from invdyn.inference.fitting.log_parameters import LogParameters
 from invdyn.inference.free_parameters import DROP, MIN_DROP, at_start, free_parameters, known_in_part, of_priors
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.models import Link, OrnsteinUhlenbeck, SmoothAndRough, dynamics_for, planar_body
+from invdyn.models import Link, OrnsteinUhlenbeck, planar_body
 from invdyn.models.bodies.scalars import Learned
-from invdyn.models.effects.scale import typical_torque
 from invdyn.recordings import Recording
 
 
@@ -28,7 +26,7 @@ def body(**more):
     return planar_body("rod", [upper, Link("fore", "wrist", "tip", length=0.5, mass=LIKE[1], **more)])
 
 
-def problem(torque=None):
+def problem():
     """Of a swing whose points are equally good however sure they are."""
     time = 0.05 * np.arange(20)
     angle = 0.3 * np.sin(4 * time)
@@ -37,7 +35,7 @@ def problem(torque=None):
     rng = np.random.default_rng(0)
     confidence = rng.uniform(0.4, 1.0, points.shape[:2])
     seen = Recording(time, points + 0.003 * rng.standard_normal(points.shape), ("elbow", "tip"), confidence)
-    return arm_problem(seen, body(), torque=torque or OrnsteinUhlenbeck(), substeps=1)
+    return arm_problem(seen, body(), torque=OrnsteinUhlenbeck(), substeps=1)
 
 
 def test_noise_torques_and_what_is_not_quite_known_are_fitted():
@@ -53,21 +51,6 @@ def test_noise_torques_and_what_is_not_quite_known_are_fitted():
     every = {each.name: each for each in free_parameters(own, learn_lengths=True)}
     assert every["body.length"].entries == (0, 1)
     assert every["torque.decay"] == Free("torque.decay", sd=1.0)
-
-
-@pytest.mark.parametrize("sd", [0.05, 0.2])
-def test_a_rough_part_may_be_none(sd):
-    """Its prior is normal, by default of a twentieth of what joints typically bear, and nearly as dense at zero."""
-    own = problem(SmoothAndRough(**({} if sd == 0.05 else {"share": sd})))
-    assert "torque.rough_scale" in own.model.unconstrained
-    typical = typical_torque(dynamics_for(body()), body().parameters())
-    (rough,) = (each for each in free_parameters(own) if each.name == "torque.rough_scale")
-    parameters = LogParameters(own.model, [rough])
-    assert parameters.sd.tolist() == [1.0]
-    for phi, share in ((-1 / 3, 0.0), (0.0, sd / 3), (1.0, sd * 4 / 3)):
-        there = parameters.at(torch.tensor([phi], dtype=torch.float64)).parameters
-        assert there["torque.rough_scale"].tolist() == pytest.approx((share * typical).tolist(), abs=1e-15)
-        assert parameters.of(there) == pytest.approx([phi], abs=1e-12)
 
 
 def test_a_fit_begins_at_the_middles_of_priors_and_where_a_logarithm_is():

@@ -177,15 +177,15 @@ def test_a_smooth_and_a_rough_torque_have_the_sum_of_their_kernels(grid, rough):
     found = joint_covariance(SmoothAndRough(), parameters, time)
     lag = time[:, None] - time[None, :]
     for i in range(2):
-        expected = matern_kernel(lag, SCALE[i].item(), LENGTHS[i].item(), 1.5)
+        expected = matern_kernel(lag, SCALE[i].item(), LENGTHS[i].item(), 2.5)
         expected += rough[i].item() ** 2 * np.exp(-decay[i].item() * np.abs(lag))
         assert found[:, i, :, i] == pytest.approx(expected, abs=1e-10 * SCALE[i].item() ** 2)
     assert found[:, 0, :, 1] == pytest.approx(0, abs=1e-14)
 
 
 def test_a_rough_part_that_is_next_to_nothing_keeps_its_size():
-    """The root has it to full precision: of τ given s and ṡ nothing is left but the rough part."""
-    parameters = SmoothAndRough().defaults(SCALE) | {"torque.rough_scale": 1e-6 * SCALE}
+    """The root has it to full precision: of τ given s, ṡ and s̈ nothing is left but the rough part."""
+    parameters = SmoothAndRough(share=1e-6).defaults(SCALE)
     root = SmoothAndRough().noise(torch.tensor([0.01], dtype=F64), parameters)
     assert torch.equal(root, root.tril())
     precision = torch.linalg.inv(root).square().sum(0)  # diagonal of (L Lᵀ)⁻¹
