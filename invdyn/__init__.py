@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
+    from invdyn.diagnosis import Diagnosis
     from invdyn.inference.study.study import Study
     from invdyn.models import Body
 
@@ -48,3 +49,36 @@ def trials(
     from .study_commands import run_trials
 
     return run_trials(table, body, method=method, workers=workers, **options)
+
+
+def diagnose(log: Any, robot: Any, *, mapping: str | Path | None = None, **options: Any) -> "Diagnosis":
+    """Find where a robot's log and its simulation differ, and why.
+
+    Args:
+        log: a log's file, a :class:`~invdyn.recordings.Recording`, or a list of either.
+        robot: its simulation: a file, a body, a ``mujoco.MjSpec`` or a ``mujoco.MjModel``, which stays as it is.
+        mapping: which column of the log is which joint's (``--map``); of files alone.
+        options: of files, those of the command by name, such as ``held_out``, ``exclude`` and ``workers``; of
+            recordings, those of :func:`invdyn.diagnosis.diagnose`.
+
+    Raises InputError for a log that cannot be used, BodyError for a robot that cannot.
+    """
+    from .robot_diagnosis import run_diagnosis
+
+    return run_diagnosis(log, robot, mapping, options)
+
+
+def corrected(diagnosis: "Diagnosis", robot: Any, log: Any = None, *, mapping: str | Path | None = None) -> Any:
+    """A copy of a robot's simulation with the numbers that a diagnosis of it found.
+
+    Args:
+        diagnosis: of a robot's log, by :func:`diagnose`.
+        robot: the ``mujoco.MjSpec`` or ``MjModel``, of which the copy is another, or an MJCF file, which gives a spec.
+        log, mapping: as in :func:`diagnose`; replays of the log then refine what the regression found.
+
+    A number that the copy cannot say is a warning (UserWarning). Without a cause the copy is the original.
+    Raises InputError and BodyError as :func:`diagnose` does.
+    """
+    from .robot_diagnosis import corrected_robot
+
+    return corrected_robot(diagnosis, robot, log, mapping)

@@ -60,14 +60,17 @@ CAMERAS = Source(
 )
 
 
-def load_body(name: str, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body:
-    """A body file, or a body that comes with the package by its name. Raises BodyError or OSError.
+def load_body(name: Any, *, filmed: bool = True, recording: str | None = None, **options: Any) -> Body:
+    """A body file, or a body that comes with the package by its name; or a ``mujoco.MjSpec`` or ``MjModel``.
 
     A robot of parallel hinges is a body in space if its ``recording``, read with ``options``, has three coordinates
     of its file's sites; not of joints that only the chain in the plane calls keypoints.
     ``filmed``: whether keypoints in a plane may show it; see :func:`invdyn.models.load_body`.
+    Raises BodyError or OSError.
     """
-    with body_file(name) as path:
+    if not isinstance(name, str | Path):
+        return name if isinstance(name, Body) else read_body(name, filmed=filmed)
+    with body_file(str(name)) as path:
         dimensions = None
         if recording is not None and is_xml(path.read_bytes()) and in_space(seen := load(recording, **options)):
             with warnings.catch_warnings():

@@ -180,7 +180,7 @@ class Recorded:
         if isinstance(self.metres_a_pixel, float):
             options["scale"] = self.metres_a_pixel
         table = filmed and not self.plane and source_of(self.first, self.calibration, self.mapping) is TABLE
-        return load_body(str(self.body), filmed=filmed, recording=self.recording if table else None, **options)
+        return load_body(self.body, filmed=filmed, recording=self.recording if table else None, **options)
 
     def tracks_file(self, default: Path) -> Path | None:
         """Where tracks go: the default unless it is said; None where the recording is no film."""

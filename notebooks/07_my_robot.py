@@ -44,6 +44,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
+import invdyn
 from invdyn.diagnosis import diagnose
 from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.report.sentences import details, verdict
@@ -252,6 +253,16 @@ print(f"rms error of all angles: {rms[0]:.4f} rad before, {rms[1]:.4f} rad after
 # %% [markdown]
 # What is left after the correction is the sensors' noise and the coarse steps of the file's own simulation.
 #
+# **In Python no file is needed between.** `invdyn.diagnose("log.csv", spec, mapping="map.toml")` takes the simulation
+# as a `mujoco.MjSpec`, an `MjModel` or a file. `invdyn.corrected` gives a copy of it with the numbers that were found.
+
+# %%
+spec = mujoco.MjSpec.from_string(ROBOT)
+new = invdyn.corrected(diagnosis, spec)
+for name, each in (("as it was", spec), ("corrected", new)):
+    print(f"{name}: damping of the elbow {each.compile().joint('elbow').damping.item():.4f} N·m·s/rad")
+
+# %% [markdown]
 # **With files of your own** it is two commands, and the report is a page of its own:
 #
 # ```

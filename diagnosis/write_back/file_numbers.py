@@ -15,6 +15,7 @@ Shapes: N numbers. Units: SI, rad.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,6 +24,7 @@ from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileChange, with_the_servo
 from invdyn.diagnosis.write_back.mjcf import BodyNumbers, body_of, groups, shares_its_mass
 from invdyn.models import ArticulatedBody
+from invdyn.models.bodies.body_mjcf import compiled
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.models.dynamics.registry import dynamics_for
@@ -67,16 +69,16 @@ class FileNumbers:
     """An MJCF file's numbers (N,) at the driven joints of a body.
 
     Args:
-        path: the file.
+        robot: the file, or a ``mujoco.MjSpec`` or ``MjModel``.
         body: as read from it.
         found: what a regression changes, by place and quantity; these values become the priors' means.
 
-    Raises ValueError where MuJoCo cannot read the file.
+    Raises BodyError where MuJoCo cannot read the file.
     """
 
-    def __init__(self, path: str, body: ArticulatedBody, found: Sequence[FileChange] = ()):
-        self.body, self.path = body, path
-        self.nominal = mujoco.MjModel.from_xml_path(path)
+    def __init__(self, robot: Any, body: ArticulatedBody, found: Sequence[FileChange] = ()):
+        self.body = body
+        self.nominal = compiled(robot)
         after = {(each.place, each.quantity): each.after for each in found}
         numbers = [joint_names(self.nominal).index(name) for name in body.joint_names]
         self.driven = [  # joints (k, number in the model) that have one motor, of their own

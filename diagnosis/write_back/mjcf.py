@@ -32,7 +32,7 @@ from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects.inertias import point_of
 
 OF_JOINT = {"damping": own.DAMPING, "friction": own.FRICTION, "armature": own.ARMATURE, "stiffness": own.STIFFNESS}
-POINT = "1e-9 1e-9 1e-9"
+POINT = 1e-9
 """kg·m² of a payload, which is a point: MuJoCo wants some."""
 
 
@@ -170,17 +170,21 @@ class BodyNumbers:
 
     def hang(self, writer: Writer, change: FileChange) -> str | None:
         """Write a payload: a body at the tip; why it cannot be, or None."""
-        assert self.body.hand is not None  # as a payload was found there
-        link, site = self.body.hand
-        number = body_of(self.model, self.body, link)
+        number, place = self.tip()
         element = writer.element("body", number)
         if element is None:
             return INCLUDED
-        place = self._in_body(number, link, point_of(self.body.parameters(), link, site).numpy())
         at = " ".join(f"{x:.7g}" for x in place.round(12) + 0.0)
-        inertial = f'<inertial pos="0 0 0" mass="{change.after:.7g}" diaginertia="{POINT}"/>'
+        inertial = f'<inertial pos="0 0 0" mass="{change.after:.7g}" diaginertia="{" ".join([str(POINT)] * 3)}"/>'
         writer.text.insert(element, f'<body name="payload" pos="{at}">{inertial}</body>', change.comment)
         return None
+
+    def tip(self) -> tuple[int, np.ndarray]:
+        """The compiled model's body that a payload hangs on, and where (3,) m in its frame."""
+        assert self.body.hand is not None  # as a payload was found there
+        link, site = self.body.hand
+        number = body_of(self.model, self.body, link)
+        return number, self._in_body(number, link, point_of(self.body.parameters(), link, site).numpy())
 
     def _parts(self, joint: str) -> JointParts:
         return self.body.joint_parts[self.body.joint_names.index(joint)] or NOTHING

@@ -39,8 +39,8 @@ class Writer(Elements):
         """Write all numbers in which ``after`` differs from ``before``; if one cannot be written none is, and why."""
         edits: dict[tuple[str, int], tuple[Element, Element | None, Attributes]] = {}
         for array, (kind, said) in WRITTEN.items():
-            for row in _differing(before, after, array):
-                number = _joint(self.model, array, row) if kind == "joint" else row
+            for row in rows_differing(before, after, array):
+                number = joint_of_row(self.model, array, row) if kind == "joint" else row
                 element = self.element(kind, number)
                 if element is None:
                     return INCLUDED
@@ -196,15 +196,15 @@ WRITTEN: dict[str, tuple[str, str | Said]] = {
 """Arrays of a model: the kind of element that a row is of, and its attribute."""
 
 
-def _joint(model: Any, array: str, row: int) -> int:
-    """The joint that a row is of."""
+def joint_of_row(model: Any, array: str, row: int) -> int:
+    """The joint that a row of an array is of."""
     if array.startswith("dof"):
         return int(model.dof_jntid[row])
     return int(np.searchsorted(model.jnt_qposadr, row, "right")) - 1 if array.startswith("qpos") else row
 
 
-def _differing(before: Any, after: Any, array: str) -> list[int]:
-    """Rows; none of an array that this version of MuJoCo lacks."""
+def rows_differing(before: Any, after: Any, array: str) -> list[int]:
+    """Rows of an array in which two models differ; none of one that this version of MuJoCo lacks."""
     one, other = (getattr(each, array, ()) for each in (before, after))
     return [row for row in range(len(one)) if not np.array_equal(one[row], other[row])]
 

@@ -22,7 +22,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from invdyn.diagnosis.assessment.result import Diagnosis
@@ -32,6 +31,7 @@ from invdyn.diagnosis.write_back.engine_replays import Replays, Window, seconds,
 from invdyn.diagnosis.write_back.file_numbers import FileNumbers
 from invdyn.diagnosis.write_back.xml_text import is_mjcf
 from invdyn.models import ArticulatedBody
+from invdyn.models.bodies.body_mjcf import compiled
 from invdyn.models.bodies.body_xml import MOST_BYTES
 from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.models.bodies.whole_file import read_whole
@@ -76,7 +76,7 @@ class OutputError:
 
 def refine(
     diagnosis: Diagnosis,
-    source: str | Path,
+    source: Any,
     body: ArticulatedBody,
     recordings: Sequence[Recording],
     *,
@@ -86,19 +86,23 @@ def refine(
 ) -> OutputError | None:
     """The regression's answer to a robot's logs, refined in MuJoCo; an ensemble has so many ``members``.
 
+    ``source`` is the robot's file, or a ``mujoco.MjSpec`` or ``MjModel``.
+
     None where the file is no MJCF, the answer is not the regression's, or the fit replays held-out windows no better.
     """
-    if diagnosis.regressed is None or not is_mjcf(read_whole(source, MOST_BYTES)):
+    if diagnosis.regressed is None:
+        return None
+    if isinstance(source, str | Path) and not is_mjcf(read_whole(source, MOST_BYTES)):
         return None
     found = correction(diagnosis.regressed, body).changes
     draws = max(members, FIXED.refine_draws)
-    result = refined(recordings, str(source), body, found, draws, diagnosis.seed, workers, progress)
+    result = refined(recordings, source, body, found, draws, diagnosis.seed, workers, progress)
     return result if result is not None and result.is_better else None
 
 
 def refined(
     recordings: Sequence[Recording],
-    path: str,
+    robot: Any,
     body: ArticulatedBody,
     found: Sequence[FileChange],
     draws: int,
@@ -106,13 +110,14 @@ def refined(
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> OutputError | None:
-    """The numbers of the file at ``path`` that replay the recordings best; ``found`` is what a regression changes.
+    """The numbers of a robot that replay the recordings best; ``found`` is what a regression changes.
 
     None where no joint has a motor of its own, or no recording is as long as three windows.
     """
-    if set(body.joint_names) - set(joint_names(mujoco.MjModel.from_xml_path(path))):
+    model = compiled(robot)
+    if set(body.joint_names) - set(joint_names(model)):
         return None  # MuJoCo counts a ball otherwise
-    numbers = FileNumbers(path, body, found)
+    numbers = FileNumbers(model, body, found)
     every = [window for each in recordings for window in windows(numbers, each)]
     if not any(each.quantity.endswith("gain") for each in numbers.numbers) or len(every) < 3:
         return None

@@ -1,14 +1,17 @@
 """Rigid parts out of MJCF, read by MuJoCo's own compiler.
 
 Everything is taken from the compiled model with all hinges and slides at 0, in world coordinates, so that no default,
-no frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`).
+no frame and no geom's density is interpreted here. The compiler gets one text without files (:mod:`.body_mjcf_file`);
+a ``mujoco.MjSpec`` or ``MjModel`` is taken as it is, with what it has in memory.
 Friction, springs and motors of its joints are read as they stand (:mod:`.joint_parts_mjcf`). What the model has
 besides is named (:mod:`.body_mjcf_left_out`): it is what a diagnosis then finds.
 """
 
+import copy
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -33,11 +36,44 @@ def of(root: Element, where: str) -> Robot:
             model = mujoco.MjModel.from_xml_string(text, meshes)
         except ValueError as error:
             raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
-        data = mujoco.MjData(model)
-        hinges_and_slides = np.isin(model.jnt_type, [mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE])
-        data.qpos[model.jnt_qposadr[hinges_and_slides]] = 0  # where "ref" says otherwise
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+    return _robot(mujoco, model, dropped)
+
+
+def of_compiled(robot: Any, where: str) -> Robot:
+    """The parts of a ``mujoco.MjSpec`` or ``MjModel``, which stays as it is. Raises `BodyError` as :func:`of`."""
+    mujoco = _engine(where)
+    with _own_warnings(mujoco, where):
+        model = compiled(robot, where)
+    delays = np.flatnonzero(getattr(model, "actuator_delay", np.zeros(0)) > 0).tolist()
+    plugins = [str(number) for number in range(model.nplugin)]
+    return _robot(mujoco, model, {"plugins": plugins, "delays": [model.actuator(a).name or str(a) for a in delays]})
+
+
+def compiled(robot: Any, where: str = "the robot") -> Any:
+    """The ``mujoco.MjModel`` of a file, of an ``MjSpec``, or a copy of one; both stay as they are.
+
+    Raises `BodyError` for what MuJoCo cannot read, and another object.
+    """
+    mujoco = _engine(where)
+    if isinstance(robot, mujoco.MjModel):
+        return copy.copy(robot)
+    if not isinstance(robot, str | Path | mujoco.MjSpec):
+        raise BodyError(f"expected a robot as a file, a mujoco.MjSpec or a mujoco.MjModel, got {type(robot).__name__}")
+    try:
+        if isinstance(robot, mujoco.MjSpec):
+            return robot.copy().compile()
+        return mujoco.MjModel.from_xml_path(str(robot))
+    except ValueError as error:
+        raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
+
+
+def _robot(mujoco: Any, model: Any, dropped: Mapping[str, Sequence[str]]) -> Robot:
+    """The parts of a compiled model, which is changed; ``dropped`` are words → names of what it lacks by now."""
+    data = mujoco.MjData(model)
+    hinges_and_slides = np.isin(model.jnt_type, [mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE])
+    data.qpos[model.jnt_qposadr[hinges_and_slides]] = 0  # where "ref" says otherwise
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     joints = _joints(mujoco, model, data)
     sites: dict[int, list[int]] = {}
     for site, body in enumerate(model.site_bodyid):

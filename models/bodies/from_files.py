@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from invdyn.models.bodies import (
     body_chain,
@@ -35,8 +35,10 @@ class FromFiles(ArticulatedBody):
     uncertainty: Mapping[str, float]
 
     @classmethod
-    def load(cls, path: str | Path, *, filmed: bool = True, dimensions: int | None = None) -> Self:
+    def load(cls, path: "str | Path | Any", *, filmed: bool = True, dimensions: int | None = None) -> Self:
         """Read a body file: MJCF (<mujoco>), URDF (<robot>), OpenSim's (.osim) or TOML; the content says which.
+
+        A ``mujoco.MjSpec`` or ``MjModel`` is read as its MJCF file would be.
 
         A robot's file of hinges about one of the axes x, y and z, without a branch, is a chain in the plane, unless
         ``dimensions`` is 3, as where a recording shows it in space; then every site of its file is a keypoint. A chain
@@ -47,11 +49,14 @@ class FromFiles(ArticulatedBody):
 
         Raises `BodyError`, which names the file and what to do, or `OSError` if it cannot be read.
         """
-        content = read_whole(path, body_xml.MOST_BYTES)
-        if not body_xml.is_xml(content):
-            return cls.from_tables(body_toml.parse(content, str(path)), path)
-        root = body_xml.parse(content, str(path))
-        robot = {"mujoco": body_mjcf, body_xml.OSIM: body_osim}.get(root.tag, body_urdf).of(root, str(path))
+        if isinstance(path, str | Path):
+            content = read_whole(path, body_xml.MOST_BYTES)
+            if not body_xml.is_xml(content):
+                return cls.from_tables(body_toml.parse(content, str(path)), path)
+            root = body_xml.parse(content, str(path))
+            robot = {"mujoco": body_mjcf, body_xml.OSIM: body_osim}.get(root.tag, body_urdf).of(root, str(path))
+        else:
+            robot, path = body_mjcf.of_compiled(path, "the robot"), "robot"
         if dimensions is None:
             dimensions = 2 if robot.angles_are_free and is_planar_chain(robot.parts) else 3
             if dimensions == 2 and not filmed and (off := body_chain.masses_off_line(robot, str(path))):

@@ -167,6 +167,7 @@ def test_my_robot_gets_a_corrected_file():
     assert after == pytest.approx(truth, rel=0.01)
     written = float(re.search(r'<joint name="elbow".* damping="(\S+)"', text)[1])
     assert written == pytest.approx(after, abs=1e-4)
+    assert float(re.search(r"corrected: damping of the elbow (\S+)", text)[1]) == pytest.approx(after, abs=1e-4)
     nominal, corrected = map(float, re.search(r"all angles: (\S+) rad before, (\S+) rad after", text).groups())
     assert corrected < 0.05 * nominal
     assert figures(notebook) == 1
