@@ -153,7 +153,8 @@ class Diagnosed(Recorded):
         refused: list[str] = []
 
         def recordings(files: list[str], **options: Any) -> Iterator[tuple["Recording", "TrackedFilm | None"]]:
-            for reading in read_recordings(files, body, **{**self.reading, **options}, as_filmed=True):
+            options = {**self.reading, "hide_torque": self.hide_torque, "as_filmed": True, **options}
+            for reading in read_recordings(files, body, **options):
                 recording, said = self._checked(reading, body)
                 refused.extend(said)
                 yield recording, reading.film

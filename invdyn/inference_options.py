@@ -135,7 +135,7 @@ class Inference(Recorded):
             raise InputError(f"--learn {cameras[0]} needs several cameras: pass --calibration, and a file for each one")
         body = self.read_body(filmed=source is not LOG)
         body = replace(body, exact=True) if self.exact_body else body
-        more |= {"frames": self.frames, "guessed": LENGTHS in self.learned}
+        more |= {"frames": self.frames, "guessed": LENGTHS in self.learned, "hide_torque": self.hide_torque}
         readings = read_recordings(self.recordings, body, **self.reading, **more)
         if len(readings) > 1:
             raise InputError(f"expected one recording, got {len(readings)} episodes: --set episodes=0 chooses one")

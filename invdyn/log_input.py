@@ -26,12 +26,13 @@ def read_logs(
     mapping: str | None = None,
     episodes: Sequence[int] | None = None,
     frames: str = ":",
+    hide_torque: bool = False,
 ) -> list[Reading]:
     """Episodes of a log, all of them unless their numbers are given.
 
     Joints' angles become the body's (θ = zero + sign · q), torques get the sign too, and a servo's targets become the
     torque of the targets alone, which is what a model is given. Each reading says where its units stand, and how it
-    reads in others.
+    reads in others. ``hide_torque``: commands are not read, so that it does not matter which a joint takes.
 
     Raises InputError for a log, a mapping or episodes that make no sense, and targets of a joint without a servo.
     """
@@ -44,6 +45,7 @@ def read_logs(
 
     def read(**scales: float) -> list[Recording]:
         found = recordings_of(name, body.joint_names, given, episodes, **scales)
+        found = [logged.without_commands() for logged in found] if hide_torque else found
         return [_in_the_bodys_terms(logged, body, maps).at(frame_range(frames)) for logged in found]
 
     units = (given or LogMap()).units
@@ -61,10 +63,11 @@ def read_log_files(
     frames: str = ":",
     mapping: str | None = None,
     episodes: str = "0",
+    hide_torque: bool = False,
 ) -> list[Reading]:
     """Some episodes of one log, such as "0,1". Raises InputError for what is no such list, and as :func:`read_logs`."""
     (name,) = files
-    return read_logs(name, body, mapping, episode_numbers(episodes), frames)
+    return read_logs(name, body, mapping, episode_numbers(episodes), frames, hide_torque)
 
 
 def episode_numbers(text: str) -> list[int]:
@@ -88,7 +91,8 @@ def _in_the_bodys_terms(logged: Logged, body: Body, maps: Sequence[JointMap] = (
             if own.servo is not None and not added and np.isfinite(commands[:, k]).any():
                 raise InputError(
                     f"{recording.name}: a torque of joint {joint!r}, which has a servo in the robot's file: map the "
-                    "servo's target; or, if the joint is driven by torque, write <motor> for its <position>"
+                    "servo's target; if the joint is driven by torque, write <motor> for its servo; if a sensor "
+                    "measured it, --set hide_torque=yes infers without it"
                 )
             continue
         if own.servo is None:

@@ -162,7 +162,8 @@ def _read(row: Mapping[str, str], given: Inference, body: "Body | None") -> tupl
         values = {**dict.fromkeys(OF_BODY), **values}
     own = replace(given, recordings=files, **values)
     if body is not None:
-        readings = read_recordings(files, body, **own.reading, frames=own.frames, guessed="lengths" in own.learned)
+        more = {"frames": own.frames, "guessed": "lengths" in own.learned, "hide_torque": own.hide_torque}
+        readings = read_recordings(files, body, **own.reading, **more)
         return readings[0].recording, body
     own.check_exist()
     read, _ = own.load()

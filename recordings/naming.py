@@ -32,6 +32,6 @@ def choose_individual(names: list[str], individual: str | None) -> str:
     if individual in names:
         return individual
     if individual is not None or len(names) != 1:
-        problem = "several animals" if individual is None else f"no animal {individual!r}"
+        problem = "several individuals" if individual is None else f"no individual {individual!r}"
         raise InputError(f"{problem}: choose one of {', '.join(names)} (--set individual=NAME)")
     return names[0]

@@ -13,7 +13,8 @@ angles are q = ±(θ − θ₀), where they are wanted. θ₀ is the angle of th
 is − for a hinge about the axis that points away from the viewer; torques then change sign too, and a warning says so.
 
 Of the last link's marked points the one farthest from its hinge is the tip; else the farthest frame of what is fixed to
-it; else the far end of a shape. What a file has and a rigid body lacks is named in a warning: a diagnosis may find it.
+it; else the far end of a shape; else the centre of mass, as a single pendulum's file may mark no end. What a file has
+and a rigid body lacks is named in a warning: a diagnosis may find it.
 """
 
 import math
@@ -40,8 +41,8 @@ def tables(robot: Robot, where: str) -> dict:
     `BodyError`, which begins with `where`, for what is no planar chain of hinges, and a link without length or mass.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a link's numbers are checked when it is made
-        found, notes, against = _tables(robot, where)
-    if left := [*notes, *robot.left_out]:
+        found, off, more, against = _tables(robot, where)
+    if left := [*off, *more, *robot.left_out]:
         warnings.warn(f"{where}: a rigid body leaves out {'; '.join(left)}", UserWarning, stacklevel=4)
     if against:
         warnings.warn(
@@ -53,14 +54,14 @@ def tables(robot: Robot, where: str) -> dict:
     return found
 
 
-def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
-    """The tables, warnings of centres of mass off the line, and names of hinges that turn clockwise."""
+def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str], list[str]]:
+    """The tables, what is left out of centres of mass and besides, and names of hinges that turn clockwise."""
     groups, hinges = _chain(robot.parts, where)
     axis, signs = _axis(hinges, where)
     u, v, normal = _frame(axis)
     plane = np.stack([u, v])
     anchors = [plane @ hinge.anchor for hinge in hinges]
-    tip_name, tip = _tip(groups[-1], plane, where)
+    tip_name, tip, assumed = _tip(groups[-1], plane, where)
     ends = [*anchors[1:], tip]
     tips = [*(_shown(group, hinge, plane) for group, hinge in zip(groups, hinges[1:], strict=False)), tip_name]
     links, notes, before = [], [], 0.0
@@ -91,7 +92,7 @@ def _tables(robot: Robot, where: str) -> tuple[dict, list[str], list[str]]:
         "base": [float(b) for b in anchors[0]],
         "links": links,
     }
-    return found, notes, against
+    return found, notes, assumed, against
 
 
 def masses_off_line(robot: Robot, where: str) -> list[str]:
@@ -164,16 +165,18 @@ def _shown(group: Sequence[Part], hinge: PartJoint, plane: np.ndarray) -> str:
     return hinge.name if not names or hinge.name in names else names[0]
 
 
-def _tip(group: Sequence[Part], plane: np.ndarray, where: str) -> tuple[str, np.ndarray]:
-    """Name and place (2,) of the end of the last link."""
+def _tip(group: Sequence[Part], plane: np.ndarray, where: str) -> tuple[str, np.ndarray, list[str]]:
+    """Name and place (2,) of the end of the last link, and what is left out where nothing marks it."""
     name, anchor = group[0].name, group[0].joints[0].anchor
     points = [mark for part in group for mark in part.marks]
     points = points or [(part.name, part.origin) for part in group[1:]]
     points = points or [(f"{name}_tip", end) for part in group for end in part.ends]
+    left = [] if points else [f"where {name} ends: its centre of mass stands for it (a camera needs a site at its tip)"]
+    points = points or [(f"{name}_com", rigid.lumped(group)[1])]
     far = max(points, key=lambda point: np.linalg.norm(plane @ (point[1] - anchor)), default=None)
     if far is None or np.linalg.norm(plane @ (far[1] - anchor)) == 0:
         raise BodyError(
             f"{where}: nothing says where the last link '{name}' ends: give it a site (MJCF) or a fixed link (URDF) "
             "at its tip"
         )
-    return far[0], plane @ far[1]
+    return far[0], plane @ far[1], left

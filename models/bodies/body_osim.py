@@ -14,7 +14,7 @@ ours z: all is rotated by (x, y, z) ↦ (x, −z, y), as markers of a .trc are. 
 https://simtk.org/api_docs/opensim/api_docs/classOpenSim_1_1CustomJoint.html
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
@@ -65,6 +65,7 @@ class _Read:
     parts: list[Part] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=lambda: {GROUND: -1})
     coupled: list[str] = field(default_factory=list)
+    dependent: frozenset[str] = frozenset()
     unplaced: list[str] = field(default_factory=list)
 
 
@@ -80,7 +81,8 @@ def of(document: Element, where: str) -> Robot:
             f"{where}: expected a JointSet with joints, as OpenSim 4 writes it; open an older file there and save it"
         )
     bodies = {body.get("name", ""): body for body in model.findall("BodySet/objects/Body")}
-    read = _Read(bodies, where, {GROUND: (Y_UP, np.zeros(3))})
+    dependent = frozenset(text.strip() for text in map(_dependent, model.iter("CoordinateCouplerConstraint")))
+    read = _Read(bodies, where, {GROUND: (Y_UP, np.zeros(3))}, dependent=dependent)
     waiting = list(joints)
     while waiting:
         ready = next((each for each in waiting if _end(each, "parent", where)[0] in read.places), None)
@@ -104,7 +106,7 @@ def _add(read: _Read, joint: Element) -> None:
         raise BodyError(f"{where}: expected a body of its own as its child, got '{child}'")
     turn, place = _after(read.frames[parent], outer)
     moves: list[PartJoint] = []
-    axes = _axes(joint, where, read.coupled)
+    axes = _axes(joint, where, read.coupled, read.dependent)
     shifts, turns = ([each for each in axes if each.turns == rotates] for rotates in (False, True))
     place = place + sum((turn @ each.axis * each.offset for each in shifts), np.zeros(3))
     moves += [PartJoint(each.coordinate, place, turn @ each.axis, "slide") for each in shifts if each.coordinate]
@@ -126,8 +128,11 @@ def _add(read: _Read, joint: Element) -> None:
         raise BodyError(f"{where}: expected coordinates with names of their own, got one of another joint in '{name}'")
 
 
-def _axes(joint: Element, where: str, coupled: list[str]) -> list[_Axis]:
-    """What a joint does at all its axes, rotations first; what is fixed of it is appended to ``coupled``."""
+def _axes(joint: Element, where: str, coupled: list[str], dependent: Collection[str]) -> list[_Axis]:
+    """What a joint does at all its axes, rotations first; what is fixed of it is appended to ``coupled``.
+
+    ``dependent`` coordinates follow another joint's, as a kneecap's does, and need not move an axis of their own.
+    """
     coordinates = {each.get("name", ""): each for each in joint.findall("coordinates/Coordinate")}
     if joint.tag in PLAIN:
         turns, shifts = PLAIN[joint.tag]
@@ -146,7 +151,7 @@ def _axes(joint: Element, where: str, coupled: list[str]) -> list[_Axis]:
             line = f"a {words} of {joint.get('name')} with {str(each.coordinate)[1:]}"
             coupled += [] if line in coupled else [line]
             each.coordinate = None
-        if idle := [name for name in coordinates if name not in [each.coordinate for each in found]]:
+        if idle := [name for name in coordinates if name not in {*dependent, *(each.coordinate for each in found)}]:
             raise BodyError(f"{where}: coordinate '{idle[0]}' moves no axis by itself: expected q or −q of one")
     else:
         known = ", ".join([*PLAIN, "CustomJoint"])
@@ -220,6 +225,10 @@ def _after(outer: Frame, inner: Frame) -> Frame:
 
 def _inverse(frame: Frame) -> Frame:
     return frame[0].T, -frame[0].T @ frame[1]
+
+
+def _dependent(constraint: Element) -> str:
+    return constraint.findtext("dependent_coordinate_name") or ""
 
 
 def _default(coordinate: Element, where: str) -> float:

@@ -117,7 +117,7 @@ class Dynamics(ABC):
     def reach(self, p: Any) -> Tensor:
         """Largest distance () between any two sites, or a site and the frame's origin, at zero coordinates, m.
 
-        Or the largest of :meth:`levers`, where that is more. Without sites it is 1 m.
+        Or the largest of :meth:`levers`, where that is more. Without sites that move it is 1 m.
         """
         points = self.keypoints(p.gravity.new_zeros(self.num_joints), p)
         points = torch.cat([points, points.new_zeros(1, points.shape[-1])])
@@ -126,13 +126,11 @@ class Dynamics(ABC):
     def levers(self, p: Any) -> Tensor:
         """How far (K,) some site moves when a joint turns by a radian, m: what an error of a point is divided by.
 
-        The largest one's stands for a joint that moves no site at zero coordinates; without sites it is 1 m.
+        The largest one's stands for a joint that moves no site at zero coordinates; if none moves any it is 1 m.
         """
         jacobian = self.jacobian(p.gravity.new_zeros(self.num_joints), p)
-        if not len(jacobian):
-            return p.gravity.new_ones(self.num_joints)
-        moved = jacobian.norm(dim=-2).amax(0)
-        return torch.where(moved > 0, moved, moved.max())
+        moved = torch.cat([jacobian.norm(dim=-2), p.gravity.new_zeros(1, self.num_joints)]).amax(0)
+        return torch.where(moved > 0, moved, moved.max() if moved.any() else 1.0)
 
     def _check(self, **joint: Tensor) -> None:
         for name, value in joint.items():

@@ -137,15 +137,15 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
         raise InputError("expected one column that says when, got 'time' and 'frame': leave one of them out")
     found = [(stem, end) for stem, _, end in (c.rpartition("_") for c in columns if c not in clocks)]
     for stem, suffix in found:
-        if stem and suffix in OF_LOGS:
+        column = f"{stem}_{suffix}" if stem else suffix
+        if suffix in OF_LOGS:
             raise InputError(
-                f"expected keypoints or angles, got the column '{stem}_{suffix}' of a robot's log: pass --map, a file "
+                f"expected keypoints or angles, got the column {column!r} of a robot's log: pass --map, a file "
                 f"that says which column is which joint's, or rename the columns to <joint>_angle and <joint>_torque"
             )
         if not stem or suffix not in SUFFIXES:
             stems = {s for s, _ in found if s} | {*keypoints, *joints}
             known = [*CLOCKS, *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
-            column = f"{stem}_{suffix}" if stem else suffix
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
             near_one = whole[0] if whole else nearest(column, known)
             raise InputError(

@@ -6,6 +6,7 @@ the right; ours has z up, so (x, y, z) ↦ (x, −z, y).
 https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089619
 """
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
@@ -112,7 +113,8 @@ def motion_unit(path: str | Path) -> str | None:
 def read_sto(path: str | Path) -> dict[str, np.ndarray]:
     """Columns by label of a .sto or .mot file, as they stand (radians or degrees).
 
-    Raises InputError for another kind of file or a count of rows or columns that is not the header's.
+    A count of rows that is not the header's is a warning (UserWarning), as of a file that someone shortened. Raises
+    InputError for another kind of file or a count of columns that is not the header's.
     """
     lines = read_lines(path)
     with about(path):
@@ -122,9 +124,11 @@ def read_sto(path: str | Path) -> dict[str, np.ndarray]:
         rows = [(n, _cells(line, mark)) for n, line in enumerate(lines, 1) if n > end + 2 and line.strip(" \t,")]
         numbers, _ = read_numbers(rows, labels)
         header = _header(lines[:end])
-        for key, count in (("nRows", len(rows)), ("nColumns", len(labels))):
-            if (stated := header.get(key.lower(), str(count))) != str(count):
-                raise InputError(f"the header says {key}={stated}, but there are {count}")
+        if (stated := header.get("ncolumns", str(len(labels)))) != str(len(labels)):
+            raise InputError(f"the header says nColumns={stated}, but there are {len(labels)}")
+        if (stated := header.get("nrows", str(len(rows)))) != str(len(rows)):
+            words = f"{path}: the header says nRows={stated}, and there are {len(rows)}: was the file cut off?"
+            warnings.warn(words, stacklevel=2)
         return dict(zip(labels, numbers.T, strict=True))
 
 
@@ -156,8 +160,9 @@ def read_trc(path: str | Path) -> Recording:
         if len(lines) < 6 or not lines[0].startswith("PathFileType"):
             raise InputError("not an OpenSim .trc file: it must begin with PathFileType and hold five header lines")
         mark = "\t" if "\t" in lines[3] else ","
-        header = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
-        unit = header.get("Units", "").strip()
+        # some programs write several tabs between two values
+        keys, given = ([cell.strip() for cell in line.split(mark) if cell.strip()] for line in lines[1:3])
+        unit = dict(zip(keys, given, strict=False)).get("Units", "")
         if unit not in METRES:
             raise InputError(f"Units is {unit!r}; expected m, cm or mm")
         markers = tuple(cell.strip() for cell in lines[3].split(mark)[2:] if cell.strip())

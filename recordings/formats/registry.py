@@ -112,7 +112,7 @@ def recognise(path: Path, name: str | None = None) -> str:
         return _recognise_csv(path)
     if suffix in (".h5", ".hdf5"):
         return _recognise_h5(path)
-    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".c3d": "c3d", ".trc": "trc", ".mot": "mot"}
+    by_suffix = {".slp": "sleap", ".nwb": "nwb", ".c3d": "c3d", ".trc": "trc", ".mot": "mot", ".sto": "mot"}
     if suffix not in by_suffix:
         check_readable(path)
         if is_film(path):
@@ -121,7 +121,7 @@ def recognise(path: Path, name: str | None = None) -> str:
             )
         raise InputError(
             f"{path}: cannot tell the format from the suffix {suffix!r}; expected .csv, .h5, .slp, .nwb, "
-            f".c3d, .trc or .mot (or say it: --set format={'|'.join(FORMATS)})"
+            f".c3d, .trc, .mot or .sto (or say it: --set format={'|'.join(FORMATS)})"
         )
     return by_suffix[suffix]
 

@@ -4,7 +4,7 @@ Of a table a row is a sample and a column a track; that of times is "time", unle
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +80,10 @@ class Logged:
 
     recording: Recording
     targets: np.ndarray
+
+    def without_commands(self) -> "Logged":
+        """The angles alone."""
+        return Logged(replace(self.recording, torques=None), np.full_like(self.targets, np.nan))
 
 
 def kind_of(path: Path) -> str | None:

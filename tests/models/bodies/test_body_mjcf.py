@@ -107,8 +107,8 @@ def test_ends_without_a_site(tmp_path):
     assert welded.keypoint_names[-1] == "load"
     assert welded.links[-1].length == pytest.approx(np.hypot(0.05, 0.1))
     nothing = exact().replace('<geom type="capsule" size="0.02" fromto="0 0 0 0.25 0 0"/>', "")
-    with pytest.raises(BodyError, match="give it a site"):
-        read(nothing, tmp_path)
+    with pytest.warns(UserWarning, match="where b ends: its centre of mass stands for it"):
+        assert read(nothing, tmp_path).keypoint_names[-1] == "b_com"
 
 
 WRONG = {

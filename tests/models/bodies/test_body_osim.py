@@ -112,6 +112,33 @@ def test_a_marker_moves_as_the_joint_says(kind, names, q, turns, shift, tmp_path
     np.testing.assert_allclose(site(body, q)[0], marker(frame), atol=1e-12)
 
 
+def test_a_kneecap_that_follows_the_knee_by_curves_alone_is_held(tmp_path):
+    """A coordinate that a coupler drives need not move an axis by itself, as of OpenSim's own models of the leg."""
+    inner = transform(
+        ("beta", "0 0 1", CURVE),
+        ("", "0 1 0", CONSTANT.format(value=0)),
+        ("", "1 0 0", CONSTANT.format(value=0)),
+        ("beta", "1 0 0", CURVE),
+        ("", "0 1 0", CONSTANT.format(value=0)),
+        ("", "0 0 1", CONSTANT.format(value=0)),
+    )
+    knee = joint("PinJoint", "knee", "/ground", "arm", [coordinate("a")])
+    cap = joint("CustomJoint", "cap", "/bodyset/arm", "cap", [coordinate("beta")], inner)
+    coupler = (
+        '<ConstraintSet><objects><CoordinateCouplerConstraint name="follows"><dependent_coordinate_name>{}'
+        "</dependent_coordinate_name></CoordinateCouplerConstraint></objects></ConstraintSet>"
+    )
+    with pytest.warns(UserWarning, match=r"\(a rotation of cap with beta, a shift of cap with beta\)"):
+        body = loaded(model([knee, cap], ("arm", "cap"), coupler.format("beta")), tmp_path)
+    assert body.joint_names == ("a",)
+    held = moved([((0, 0, 1), 0.6)], (0.6, 0, 0))
+    frame = pose(*PARENT) @ moved([((0, 0, 1), 0.7)]) @ np.linalg.inv(pose(*CHILD))
+    frame = frame @ pose(*PARENT) @ held @ np.linalg.inv(pose(*CHILD))
+    np.testing.assert_allclose(site(body, [0.7])[1], marker(frame), atol=1e-12)
+    with pytest.raises(BodyError, match="coordinate 'beta' moves no axis by itself"):
+        loaded(model([knee, cap], ("arm", "cap"), coupler.format("a")), tmp_path)
+
+
 def test_a_custom_joint_has_axes_signs_offsets_and_curves(tmp_path):
     inner = transform(
         ("a", "0 3 4", LINEAR.format(slope=-1, offset=0.2)),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.models import Body, BodyError, planar_dynamics
+from invdyn.models import Body, BodyError, dynamics_for, planar_dynamics
 
 INERTIA = '<inertia ixx="{0}" iyy="{0}" izz="0.001" ixy="0" ixz="0" iyz="0"/>'
 MESH = '<visual><geometry><mesh filename="package://robot/arm.stl"/></geometry></visual>'
@@ -198,3 +198,25 @@ def test_files_of_another_kind(tmp_path):
         Body.load(written("<svg/>", tmp_path / "arm.urdf"))
     with pytest.raises(FileNotFoundError):
         Body.load(tmp_path / "none.urdf")
+
+
+def test_a_last_link_without_an_end_has_it_at_its_centre_of_mass(tmp_path):
+    """A single pendulum's file may mark no end: encoders do not need one."""
+    text = still(ROBOT).replace('<link name="tool"/>', "")
+    text = text.replace(joint("grip", "fixed", "fore", "tool", -0.25), "")
+    with pytest.warns(UserWarning, match="leaves out where fore ends: its centre of mass stands for it"):
+        body = read(text, tmp_path)
+    assert body.keypoint_names == ("elbow", "fore_com")
+    assert (body.links[1].length, body.links[1].com, body.links[1].inertia) == pytest.approx((0.08, 0.08, 0.01))
+    with pytest.warns(UserWarning, match="where fore ends"):
+        assert Body.load(tmp_path / "arm.urdf", filmed=False).is_chain
+
+
+def test_a_pendulum_whose_only_frame_is_at_its_hinge_has_a_reach(tmp_path):
+    """A length of 0 would make every speed infinite: 1 m stands for it, as in a body without sites."""
+    lines = [link("base", 0, 5, 1.0), link("fore", 0.08, 0.6, 0.01), joint("elbow", "continuous", "base", "fore", 0)]
+    text = "\n".join(['<robot name="one">', *lines, "</robot>"])
+    body = Body.load(written(text.replace("0 0.02 0", "0 0 0"), tmp_path / "one.urdf"), dimensions=3)
+    dynamics, numbers = dynamics_for(body), body.parameters()
+    assert dynamics.levers(numbers).tolist() == [1.0]
+    assert dynamics.reach(numbers) == 1.0

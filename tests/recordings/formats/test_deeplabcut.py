@@ -56,9 +56,9 @@ def test_one_of_several_animals_is_chosen(tmp_path, suffix):
     frame.to_csv(path) if suffix == ".csv" else save_h5(frame, path)
     recording = load(path, units="px", fps=30, individual="bob")
     np.testing.assert_allclose(recording.keypoint("wrist")[:, 0], frame["net", "bob", "wrist", "x"])
-    with pytest.raises(InputError, match="several animals: choose one of ada, bob"):
+    with pytest.raises(InputError, match="several individuals: choose one of ada, bob"):
         load(path, units="px", fps=30)
-    with pytest.raises(InputError, match="no animal 'eve'"):
+    with pytest.raises(InputError, match="no individual 'eve'"):
         load(path, units="px", fps=30, individual="eve")
 
 
@@ -83,7 +83,7 @@ def test_an_animals_own_point_wins_over_a_unique_one_of_its_name(tmp_path):
     frame.to_csv(tmp_path / "rec.csv")
     recording = load(tmp_path / "rec.csv", units="px", fps=30, individual="bob")
     np.testing.assert_allclose(recording.keypoint("wrist")[:, 0], frame["net", "bob", "wrist", "x"])
-    with pytest.raises(InputError, match=r"several animals: choose one of ada, bob \(--set individual=NAME\)"):
+    with pytest.raises(InputError, match=r"several individuals: choose one of ada, bob \(--set individual=NAME\)"):
         load(tmp_path / "rec.csv", units="px", fps=30)
 
 

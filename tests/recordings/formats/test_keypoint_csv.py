@@ -123,6 +123,7 @@ BAD = {
         ["time,wrist_x,wrist_y,wrist_lik", "0,1,1,1", "1,1,1,1"],
         "'wrist_lik'.*'wrist_likelihood'",
     ),
+    "a log of one joint": (["time,position", "0,1", "1,1"], "'position' of a robot's log: pass --map"),
     "a log's column": (["time,hip_position", "0,1", "1,1"], "'hip_position' of a robot's log: pass --map"),
     "plain column": (["time,wrist_x,wrist_y,speed", "0,1,1,1", "1,1,1,1"], "unknown column 'speed'"),
     "orphan likelihood": (["time,a_x,a_y,b_likelihood", "0,1,1,1", "1,1,1,1"], "no 'b_x'"),

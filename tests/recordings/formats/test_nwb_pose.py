@@ -61,7 +61,7 @@ def test_one_of_several_animals_is_chosen_and_numbers_are_converted(tmp_path):
     path = write(tmp_path / "rec.nwb", animals=("ada", "bob"), conversion=0.1)
     recording = load(path, units="px", individual="bob")
     np.testing.assert_allclose(recording.keypoints, 0.1 * (TRACKS + 1) * [1, -1])
-    with pytest.raises(InputError, match="several animals: choose one of ada, bob"):
+    with pytest.raises(InputError, match="several individuals: choose one of ada, bob"):
         load(path, units="px")
 
 

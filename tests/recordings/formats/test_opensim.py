@@ -68,7 +68,6 @@ def test_shapes_and_time_are_checked(tmp_path):
         ("", "no line 'endheader'"),
         ("name\nversion=1\nendheader\n", "no line 'endheader' with labels"),
         ("name\nendheader\ntime\ta\n", "only a header"),
-        ("name\nnRows=3\nendheader\ntime\ta\n0\t1\n1\t1\n", "nRows=3, but there are 2"),
         ("name\nnColumns=3\nendheader\ntime\ta\n0\t1\n1\t1\n", "nColumns=3, but there are 2"),
         ("name\nendheader\ntime\ta\n0\t1\n1\tx\n", r"row 2 \(line 5\), column 'a': 'x' is not a number"),
         ("name\nendheader\ntime\ta\n0\t1\n1\n", "row 2 .* has 1 cells, the header has 2"),
@@ -148,6 +147,27 @@ def test_a_motion_in_what_is_no_unit_is_refused(tmp_path):
     (tmp_path / "walk.mot").write_text(MOT.replace("=yes", "=grad"))
     with pytest.raises(InputError, match="inDegrees=grad: expected yes or no"):
         load(tmp_path / "walk.mot")
+
+
+def test_a_motion_that_was_cut_off_is_read_with_a_warning(tmp_path):
+    (tmp_path / "walk.mot").write_text(MOT.replace("nRows=2", "nRows=250"))
+    with pytest.warns(UserWarning, match="nRows=250, and there are 2: was the file cut off"):
+        assert load(tmp_path / "walk.mot").num_frames == 2
+
+
+def test_a_motion_may_be_called_sto(tmp_path):
+    for name in ("walk.mot", "walk.sto"):
+        (tmp_path / name).write_text(MOT)
+    np.testing.assert_array_equal(load(tmp_path / "walk.sto").angles, load(tmp_path / "walk.mot").angles)
+
+
+def test_header_values_of_a_trc_may_stand_several_tabs_apart(tmp_path):
+    lines = TRC.split("\n")
+    lines[2] = "\t\t".join(f"  {value} " for value in lines[2].split("\t"))
+    (tmp_path / "wide.trc").write_text("\n".join(lines))
+    (tmp_path / "arm.trc").write_text(TRC)
+    wide, usual = (load(tmp_path / name, plane="xy") for name in ("wide.trc", "arm.trc"))
+    np.testing.assert_array_equal(wide.keypoints, usual.keypoints)
 
 
 def test_tables_separated_by_commas_are_read(tmp_path):

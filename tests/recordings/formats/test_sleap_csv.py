@@ -25,7 +25,7 @@ def test_a_lone_animal_needs_no_name(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (HEADER + ROWS, "several animals: choose one of ada, bob"),
+        (HEADER + ROWS, "several individuals: choose one of ada, bob"),
         (HEADER + ROWS.replace("ada,4", "ada,3"), "frame 3 comes twice for track 'ada': track the animals first"),
         (HEADER, "only a header"),
         (HEADER.replace("hip.y", "hip.z") + ROWS, "not a SLEAP analysis csv"),
