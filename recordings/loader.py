@@ -141,19 +141,19 @@ def stated_format(
             declared = replace(declared, time=None if declared.time == FRAMES else declared.time)
         if form.own_times and fps is not None and declared.time != FRAMES:
             raise InputError(
-                f"a {form.title} file carries its own times: leave --fps out, or add --units frames if they are "
+                f"{form.title} files carry their own times: leave --fps out, or add --units frames if they are "
                 "numbers of frames"
             )
         if not form.own_units and declared.length is None:
-            raise InputError(f"a {form.title} file does not say its units: pass --units px (or mm, cm, m)")
+            raise InputError(f"{form.title} files do not say their units: pass --units px (or mm, cm, m)")
         if not form.own_times and fps is None:
-            raise InputError(f"a {form.title} file does not say its frame rate: pass --fps, frames a second")
+            raise InputError(f"{form.title} files do not say their frame rate: pass --fps, frames a second")
         if fps is not None and not MIN_RATE <= fps <= MAX_RATE:
             raise InputError(f"--fps must be positive, from {MIN_RATE:g} to {MAX_RATE:g} frames a second, got {fps:g}")
         if kind in ("nexus", "c3d", "trc", "mot") and (declared.length or (declared.angle and kind != "mot")):
-            raise InputError(f"a {form.title} file carries its own units: leave --units out")
+            raise InputError(f"{form.title} files carry their own units: leave --units out")
         if not form.animals and individual is not None:
-            raise InputError(f"a {form.title} file holds one body: leave individual out")
+            raise InputError(f"{form.title} files hold one body: leave individual out")
         _check_time_unit(form, declared, fps)
     return form, declared
 
@@ -164,7 +164,7 @@ def _check_time_unit(form: Format, declared: Units, fps: float | None) -> None:
     if declared.time == FRAMES and form.own_times and fps is None:
         raise InputError("--units frames needs the frame rate: pass --fps, frames a second")
     if not form.own_times and declared.time != "s":
-        raise InputError(f"a {form.title} file numbers its frames, --fps says the rest: leave {declared.time!r} out")
+        raise InputError(f"{form.title} files number their frames, --fps says the rest: leave {declared.time!r} out")
 
 
 def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_frame: bool) -> None:

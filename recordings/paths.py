@@ -11,6 +11,8 @@ from pathlib import Path
 
 FILM_SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp", ".mts", ".ts")
 """By these a file is taken for a film where a recording may stand, too."""
+POINTER = b"version https://git-lfs"
+"""How a file begins that stands for one of Git's large files until it is fetched."""
 
 
 def resolved(path: str | Path) -> Path:
@@ -43,6 +45,10 @@ def check_readable(path: str | Path) -> Path:
         raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(path))
     if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "expected an ordinary file, this is a device or a pipe", str(path))
+    with open(path, "rb") as file:
+        if file.read(len(POINTER)) == POINTER:
+            words = "its data were not fetched, this is Git's pointer to them: run git lfs pull where it lies"
+            raise OSError(errno.ENODATA, words, str(path))
     return Path(path)
 
 

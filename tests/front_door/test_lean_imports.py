@@ -36,7 +36,7 @@ coords,x,y,likelihood
     ("table", "options", "message"),
     [
         ("time,elbow_x,elbow_y\n0,1,2\n0.1,1,2\n", ("--units", "furlong"), "unknown unit 'furlong'"),
-        (OF_A_NETWORK, ("--fps", "30"), "a DeepLabCut file does not say its units"),
+        (OF_A_NETWORK, ("--fps", "30"), "DeepLabCut files do not say their units"),
     ],
     ids=["wrong", "missing"],
 )

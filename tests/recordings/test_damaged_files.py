@@ -43,6 +43,7 @@ def test_the_whole_file_is_good(tmp_path, name):
     READERS.get(name, load)(tmp_path / name)
 
 
+@pytest.mark.filterwarnings("ignore:.*was the file cut off")
 @pytest.mark.parametrize("name", GOOD)
 def test_damage_is_told_in_one_line(tmp_path, name):
     path = tmp_path / name

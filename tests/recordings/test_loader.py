@@ -85,7 +85,7 @@ def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
 def test_the_csv_has_its_own_times(tmp_path):
     (tmp_path / "rec.csv").write_text(GOOD)
     assert load(tmp_path / "rec.csv").name == "rec"
-    with pytest.raises(InputError, match="its own times: leave --fps out"):
+    with pytest.raises(InputError, match="their own times: leave --fps out"):
         load(tmp_path / "rec.csv", fps=30)
 
 
@@ -93,7 +93,7 @@ def test_the_csv_has_its_own_times(tmp_path):
 def test_numbers_of_frames_become_times_by_the_frame_rate(tmp_path, units):
     (tmp_path / "rec.csv").write_text(GOOD.replace("time", "frame"))
     assert load(tmp_path / "rec.csv", units=units, fps=20).time.tolist() == [0.0, 0.05]
-    with pytest.raises(InputError, match="does not say its frame rate: pass --fps"):
+    with pytest.raises(InputError, match="do not say their frame rate: pass --fps"):
         load(tmp_path / "rec.csv", units=units)
 
 

@@ -71,3 +71,11 @@ def test_a_loop_is_told_where_resolving_lets_it_pass(here, monkeypatch):
     with pytest.raises(OSError, match="links form a loop") as caught:
         resolved(here / "loop")
     assert caught.value.errno == errno.ELOOP
+
+
+def test_a_pointer_of_git_lfs_is_told(tmp_path):
+    path = tmp_path / "tracks.h5"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345\n")
+    with pytest.raises(OSError, match="run git lfs pull") as refusal:
+        check_readable(path)
+    assert refusal.value.filename == str(path)

@@ -99,9 +99,9 @@ def test_some_keypoints_are_kept_in_the_bodys_order(tmp_path):
 def test_units_and_frame_rate_are_asked_for(tmp_path):
     table().to_csv(tmp_path / "rec.csv")
     for options, words in [
-        ({"fps": 30}, "does not say its units: pass --units px"),
+        ({"fps": 30}, "do not say their units: pass --units px"),
         ({"fps": 30, "units": "deg"}, "pass --units px"),
-        ({"units": "px"}, "does not say its frame rate: pass --fps"),
+        ({"units": "px"}, "do not say their frame rate: pass --fps"),
         ({"units": "px", "fps": 0}, "--fps must be positive"),
         ({"units": "m", "fps": 30}, "look like pixels"),
     ]:
