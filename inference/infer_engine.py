@@ -51,7 +51,8 @@ def infer_engine(
     Args:
         recording: keypoints, encoders, or both, in m and rad.
         scene: the model, :meth:`.Scene.of` a file.
-        method: one of ``ENGINE_METHODS``.
+        method: one of ``ENGINE_METHODS``; where the filters of "smc" cannot follow, the answer is that of "laplace", if
+            this settled, and it says so.
         num_filters, num_particles, num_draws: M, N, and smoothed trajectories per filter.
         seed: same seed, same result, for any number of threads or workers.
         settings: parameters by dotted name that are known. Otherwise the scale of the drive and that of each sensor's
@@ -99,7 +100,8 @@ def infer_engine(
     }
     if doubt := misfit(problem, smoother.path.numpy(), model):
         record["in_doubt"] = [doubt]
-    places = {"executor": executor} if method in DISTRIBUTED else {}
+    places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
+    places |= {"or_linearised": True} if method == "smc" else {}
     fitted = EngineProblem(model, problem.observations, recording, problem.truth, problem.reasons, name=problem.name)
     idata = METHODS[method](
         fitted, options=options, start=smoother.path, seed=seed, settings=record, progress=progress, **places

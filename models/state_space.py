@@ -117,6 +117,9 @@ class StateSpaceModel(ABC):
     """Whether the transition's mean has kinks, as contacts make them: smoothers then fit lines over the posterior under
     relaxed noise (:mod:`invdyn.inference.smoothing.statistical_homotopy`), and take no tangents."""
 
+    steps_per_row: float = 1.0
+    """How many steps of a simulation a row's transition takes: so many times fewer particles are affordable."""
+
     # -- parameters ----------------------------------------------------------------------------
     @property
     def unconstrained(self) -> frozenset[str]:

@@ -53,7 +53,7 @@ BOOTSTRAP_FACTOR = 4
 """Times the particles that it may have which a bootstrap may need, to stand for guides that disagree."""
 
 MAX_FACTOR, RUN_PARTICLE_STEPS = 16, 2e7
-"""Times the particles of the options that a guide may take, and particles × rows of all its filters at most."""
+"""Times the particles of the options that a guide may take, and steps of all particles of its filters at most."""
 
 
 class Pilot(ParticleFilter):
@@ -76,6 +76,7 @@ class Guide:
         opinion: log-evidences (M,) of a bootstrap pilot; None where it failed, or is no other guide.
         reason: why the look-ahead is not used, in a line; "" if it is.
         doubt: why no run by this guide may be believed; "" if one may.
+        expected: evidence of its pilot, with the scatter that ``num_particles`` lead to expect; or None.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Guide:
     opinion: Tensor | None = None
     reason: str = ""
     doubt: str = ""
+    expected: Evidence | None = None
 
     def judged(self, log_evidence: Tensor) -> Evidence:
         """Evidence of filters (M,) that this guide steered, doubted by the pilot's."""
@@ -124,6 +126,11 @@ class _Pilot:
         """Particles for a variance of log Ẑ of ``VARIANCE``, which falls with their number."""
         return self.num_particles * self.found.filter_sd**2 / VARIANCE
 
+    def expected(self, particles: int) -> Evidence:
+        """Evidence of as many filters of so many ``particles`` each."""
+        sd = self.found.filter_sd * math.sqrt(self.num_particles / particles)
+        return replace(self.found, filter_sd=sd, outer_ess=self.found.filters * math.exp(-(sd**2)))
+
 
 def best_guide(
     model: StateSpaceModel,
@@ -148,7 +155,7 @@ def best_guide(
     # Without a start of the model's own, the pilot's particles tell where its modes may be.
     searched = start is None and not has_own_start(model)
     opinion, blind = _blind(model, observations, options) if searched else (None, None)
-    pilot_size = min(options.num_particles, 100)
+    pilot_size, steps = min(options.num_particles, 100), model.steps_per_row * len(observations)
     try:
         with diverging():
             like = moment_matched(model)
@@ -159,7 +166,7 @@ def best_guide(
                 log_evidence = run_filters(model, observations, _few(options), smoother=smoother, keep=0).log_evidence
     # A model of one's own may raise anything at the states of a linearisation: outside of a support, of a domain.
     except (TypeError, ValueError, NotImplementedError, AttributeError, Diverged, SMCFailed) as error:
-        few = _affordable(opinion, options, len(observations))
+        few = _affordable(opinion, options, steps)
         return Guide("bootstrap", None, few, reason=first_line(error))
     if not searched:
         opinion, _ = _blind(model, observations, options, keep=0)
@@ -176,15 +183,16 @@ def best_guide(
             ahead = _chosen(rivals + own)
             # Guides of one ψ that disagree tell of modes that ψ may miss: filters then agree on what they all miss.
             if own == [] and opinion is not None:
-                if opinion.needed < BOOTSTRAP_FACTOR * _most(options, len(observations)):
+                if opinion.needed < BOOTSTRAP_FACTOR * _most(options, steps):
                     ahead = opinion
                 elif ahead is not opinion and not opinion.found.standing:
                     doubt = UNCONFIRMED
-            size = _affordable(ahead, options, len(observations))
+            size = _affordable(ahead, options, steps)
     if ahead.name == "bootstrap":
         reason = f"the {name} guide misses a part of the posterior, or is less steady"
         return Guide("bootstrap", None, size, reason=reason)
-    return Guide(ahead.name, smoother, size, None if opinion is None else opinion.log_evidence, doubt=doubt)
+    seen = None if opinion is None else opinion.log_evidence
+    return Guide(ahead.name, smoother, size, seen, doubt=doubt, expected=ahead.expected(size))
 
 
 def guides_agree(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, ahead: Evidence) -> bool:
@@ -238,17 +246,17 @@ def _chosen(pilots: Sequence[_Pilot]) -> _Pilot:
     return min(level, key=lambda pilot: pilot.needed)
 
 
-def _affordable(pilot: _Pilot | None, options: SMCOptions, rows: int) -> int:
+def _affordable(pilot: _Pilot | None, options: SMCOptions, steps: float) -> int:
     """Particles that the guide of ``pilot`` needs, within bounds."""
-    most = _most(options, rows)
+    most = _most(options, steps)
     if pilot is None or not pilot.needed < most:
         return most
     return max(options.num_particles, math.ceil(pilot.needed))
 
 
-def _most(options: SMCOptions, rows: int) -> int:
-    """Particles of a filter at most."""
-    room = int(RUN_PARTICLE_STEPS / (options.num_filters * rows))
+def _most(options: SMCOptions, steps: float) -> int:
+    """Particles of a filter at most, each of which takes so many steps along a recording."""
+    room = int(RUN_PARTICLE_STEPS / (options.num_filters * steps))
     return max(options.num_particles, min(MAX_FACTOR * options.num_particles, room))
 
 

@@ -3,10 +3,18 @@
 Biderman et al. (2020) with three changes: the guide looks ahead (:mod:`.controlled`) where pilot runs bear it out
 (:mod:`.best_guide`), what is reported is the smoothed posterior (:mod:`.backward_simulation`), not the filter, and
 whether its evidence may be used (:mod:`.second_opinion`): attributes "usable", "doubt" and "guide" of sample_stats.
+
+Filters of many states may differ by nats for any number of particles that a run may have. Their evidence then says
+nothing, and neither do bands of the few that carry the weight. The Gaussian of the linearised model has no such error:
+on demand it is the answer there, if its passes settled and filters are not so much higher that it must be further from
+the posterior than by a standard deviation in each number. Where kinks bend the dynamics they are some nats higher.
 """
 
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import arviz as az
 import numpy as np
@@ -19,8 +27,11 @@ from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.best_guide import Guide, best_guide
 from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, run_task
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.second_opinion import Evidence, bound_doubt, scatter_doubt
+from invdyn.inference.methods.laplace import laplace
 from invdyn.inference.posterior.posterior import to_inference_data
 from invdyn.inference.posterior.problem import StateSpaceProblem
+from invdyn.models.divergence import Diverged
 
 PILOTS, FILTERS, PREDICTIVE = range(3)
 """Places of the random numbers of one run (:func:`.seeds.derived`)."""
@@ -37,6 +48,7 @@ def smc(
     progress: Progress | None = None,
     executor: Executor | None = None,
     checkpoint: Checkpoint | None = None,
+    or_linearised: bool = False,
 ) -> az.InferenceData:
     """Nested SMC with smoothing.
 
@@ -50,6 +62,8 @@ def smc(
         progress: called with (done, total, what).
         executor: whose workers run the filters, ``options.filters_per_task`` at a time; the guide is fitted here.
         checkpoint: keeps the guide and the filters that are done, and continues from there.
+        or_linearised: answer by :func:`.laplace.laplace`, in doubt, where filters cannot follow and it stands; for a
+            model that says where its paths lie.
 
     Raises LostWork when a task's workers died each time, SMCFailed when all particles of a filter have weight zero.
     """
@@ -61,6 +75,12 @@ def smc(
     chosen = Guide("bootstrap", None, options.num_particles)
     if guide == "controlled":
         chosen = fitted_guide(problem, options, start, seed, inside(checkpoint, "guide"))
+    path = start if chosen.smoother is None else chosen.smoother.path
+    linearised = partial(_linearised, problem, settings, options=options, start=path, seed=seed)
+    if or_linearised and (expected := chosen.expected) is not None and (few := scatter_doubt(expected)):
+        if (found := linearised(expected, few)) is not None:
+            return found
+        or_linearised = False
     options, smoother = replace(options, num_particles=chosen.num_particles), chosen.smoother
     sizes = options.tasks()
     ends = np.cumsum(sizes)
@@ -78,6 +98,9 @@ def smc(
     )
     joined = {name: torch.cat([part[name] for part in parts], dim) for name, dim in PER_FILTER.items()}
     evidence = chosen.judged(joined["log_evidence"])
+    usable = evidence.usable or not or_linearised
+    if not usable and (found := linearised(evidence, evidence.reason)) is not None:
+        return found
     dropped = torch.empty(0)  # the particles stay where they were made
     result = FilterResult(**joined, states=dropped, log_weights=dropped, log_twist=None, ancestors=dropped)
     with seeded(derived(seed, PREDICTIVE)):
@@ -102,6 +125,23 @@ def smc(
                 "resampling": options.resampling,
             },
         )
+
+
+def _linearised(
+    problem: StateSpaceProblem, settings: dict | None, filters: Evidence, why: str, **arguments: Any
+) -> az.InferenceData | None:
+    """Posterior of the linearised model, in doubt; None where it did not settle, or is not where ``filters`` are."""
+    doubt = (
+        f"particle filters cannot follow this recording ({why.partition(':')[0]}): this is the Gaussian posterior of "
+        "the linearised model, which settled; it rounds what jumps, as forces where a contact begins"
+    )
+    noted = {**(settings or {}), "in_doubt": [doubt, *(settings or {}).get("in_doubt", [])]}
+    with suppress(Diverged):
+        found = laplace(problem, settings=noted, **arguments)
+        states = len(problem.observations) * problem.model.state_dim
+        if found["sample_stats"].attrs["converged"] and not bound_doubt(found.attrs["log_evidence"], states, filters):
+            return found
+    return None
 
 
 def fitted_guide(

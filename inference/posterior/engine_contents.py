@@ -30,7 +30,7 @@ from invdyn.models.bodies.protocol import AXES
 from invdyn.models.engine.contacts import contact_forces
 from invdyn.models.engine.drives import turning_dofs
 from invdyn.models.engine.model import EngineModel
-from invdyn.models.engine.reactions import joint_reactions
+from invdyn.models.engine.reactions import evaluated, joint_reactions
 from invdyn.models.engine.scene import Scene, engine
 from invdyn.recordings import Recording, Truth
 
@@ -120,26 +120,11 @@ def engine_contents(
 def generalised_forces(model: EngineModel, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the drive in states (N, T, D): at degrees of freedom (N, T, nv), and of actuators (N, T, nu)."""
     mujoco, scene = engine(model.scene.name), model.scene
-    flat = paths.reshape(-1, paths.shape[-1])
-    fields = model.inputs.fields(flat[:, : model.inputs.size])
-    compiled = model.compiled()
+    flat, compiled = paths.reshape(-1, paths.shape[-1]), model.compiled()
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    data = mujoco.MjData(compiled)
-    out, own = np.zeros((len(flat), model.nv)), np.zeros((len(flat), compiled.nu))
-    pushed = np.zeros(model.nv)
-    nq, nv = compiled.nq, compiled.nv
-    for k, (physics, inputs) in enumerate(zip(model.physics(flat), fields, strict=True)):
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(physics, [nq, nq + nv])
-        mujoco.mj_setState(compiled, data, inputs, model.inputs.spec)
-        mujoco.mj_fwdPosition(compiled, data)
-        mujoco.mj_fwdVelocity(compiled, data)
-        mujoco.mj_fwdActuation(compiled, data)
-        pushed[:] = 0
-        if data.xfrc_applied.any():
-            for body in np.flatnonzero(data.xfrc_applied.any(1)):
-                wrench = data.xfrc_applied[body]
-                mujoco.mj_applyFT(compiled, data, wrench[:3], wrench[3:], data.xipos[body], int(body), pushed)
-        out[k] = data.qfrc_applied + data.qfrc_actuator + pushed
+    out, own = np.full((len(flat), model.nv), np.nan), np.full((len(flat), compiled.nu), np.nan)
+    for k, data in evaluated(model, compiled, flat):
+        out[k] = data.qfrc_smooth - data.qfrc_passive + data.qfrc_bias
         own[k] = data.actuator_force
     shape = paths.shape[:-1]
     assert scene.num_joints == model.nv

@@ -89,7 +89,8 @@ def recentred_on_mean(
     shift = forward_mean(factors, linear.m0)
     path = path + torch.as_tensor(shift)
     if not bool(torch.isfinite(path).all()):
-        raise Singular("the pass ran away")  # before a model that checks its values is evaluated there
+        # Before a model that checks its values is evaluated there.
+        raise Singular("the smoother has no finite path: check units, axes, noise scales, start")
     # Coordinates are deviations from the path that was fitted along: move them to the new one.
     linear, factors = _recentred(linear, shift), factors.seen_from(shift)
     evidence = torch.as_tensor(factors.log_evidence + linear.log_constant)

@@ -95,6 +95,6 @@ def _tightest(model: StateSpaceModel, observations: Tensor, smoother: GaussianSm
         if settled:
             break
     if best is None:
-        raise Diverged("the smoother of the linearised model has no finite path: check noise scales, units and start")
+        raise Diverged("the linearised model's smoother has no finite path: check units, axes, noise scales, start")
     best.converged = torch.tensor(settled)
     return best

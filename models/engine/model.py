@@ -103,6 +103,7 @@ class EngineModel(StateSpaceModel):
         self.relaxation = 0.0
         self._memo = Memo()
         self._which, self._steps = unique_steps(self.timeline.dt.numpy(), float(scene.model.opt.timestep))
+        self.steps_per_row = float(np.mean([self._steps[kind][1] for kind in self._which]))
         names = [f"drive_{name}" for name in self.inputs.names]
         names += [f"process_{k}" for k in range(self.torque_size - len(names))]
         names += [f"{kind}_{joint}" for kind in ("angle", "velocity") for joint in scene.joint_names]

@@ -12,6 +12,9 @@ leave free, but for drives, springs and damping.
 Shapes: paths (N, T, D), B bodies with joints, wrench (N, T, B, 6): force N, then moment N·m.
 """
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from invdyn.models.engine.model import EngineModel
@@ -21,23 +24,28 @@ from invdyn.models.engine.scene import engine
 def joint_reactions(model: EngineModel, paths: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
     """Names of the B bodies, and their wrenches along ``paths`` (N, T, D) of states; NaN where a state is."""
     mujoco, compiled = engine(model.scene.name), model.compiled()
-    data = mujoco.MjData(compiled)
     bodies = np.flatnonzero(compiled.body_jntnum)
     joints, roots = compiled.body_jntadr[bodies], compiled.body_rootid[bodies]
     flat = paths.reshape(-1, paths.shape[-1])
-    fields = model.inputs.fields(flat[:, : model.inputs.size])
     out = np.full((len(flat), len(bodies), 6), np.nan)
-    ends = [compiled.nq, compiled.nq + compiled.nv]
-    for k, (physics, inputs) in enumerate(zip(model.physics(flat), fields, strict=True)):
-        if not np.isfinite(physics).all():
-            continue
-        data.qpos[:], data.qvel[:], data.act[:] = np.split(physics, ends)
-        data.qacc_warmstart[:] = 0  # so that a state's numbers depend on it alone
-        mujoco.mj_setState(compiled, data, inputs, model.inputs.spec)
-        mujoco.mj_forward(compiled, data)
+    for k, data in evaluated(model, compiled, flat):
         mujoco.mj_rnePostConstraint(compiled, data)
         moment, force = data.cfrc_int[bodies, :3], data.cfrc_int[bodies, 3:]
         off = data.subtree_com[roots] - data.xanchor[joints]
         out[k] = np.concatenate([force, moment + np.cross(off, force)], -1)
     names = tuple(compiled.body(b).name or f"body{b}" for b in bodies.tolist())
     return names, out.reshape(*paths.shape[:-1], len(bodies), 6)
+
+
+def evaluated(model: EngineModel, compiled: Any, flat: np.ndarray) -> Iterator[tuple[int, Any]]:
+    """Number, and MuJoCo's data of ``compiled`` after ``mj_forward``, of each finite one of states (B, D)."""
+    mujoco = engine(model.scene.name)
+    data, ends = mujoco.MjData(compiled), [compiled.nq, compiled.nq + compiled.nv]
+    fields = model.inputs.fields(flat[:, : model.inputs.size])
+    for k, (physics, inputs) in enumerate(zip(model.physics(flat), fields, strict=True)):
+        if np.isfinite(physics).all():
+            data.qpos[:], data.qvel[:], data.act[:] = np.split(physics, ends)
+            data.qacc_warmstart[:] = 0  # so that a state's numbers depend on it alone
+            mujoco.mj_setState(compiled, data, inputs, model.inputs.spec)
+            mujoco.mj_forward(compiled, data)
+            yield k, data

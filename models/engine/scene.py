@@ -31,8 +31,8 @@ MAX_COLLIDING = 500
 """Shapes that may touch something, each of which may touch all others."""
 MAX_START_DEPTH = 0.02
 """m: a shape that starts deeper than this in another one is shot out of it."""
-TRIAL = 0.2
-"""s of a simulation at rest that must not run away."""
+TRIAL, TRIAL_STEPS = 0.2, 10_000
+"""s, and steps at most, of a simulation at rest that must not run away."""
 POINT = "invdyn point "
 """What names of added sensors, of sites' places, begin with."""
 
@@ -93,6 +93,8 @@ class Scene(ArticulatedBody):
                         objname=site.name,
                     )
                 model = spec.compile()
+            except BodyError:
+                raise
             except ValueError as error:
                 raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
             _check(mujoco, model, where)
@@ -224,7 +226,7 @@ def _check_start(mujoco: Any, model: Any, where: str) -> None:
     model_flags = model.opt.disableflags
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     try:
-        for step in range(max(1, int(TRIAL / model.opt.timestep))):
+        for step in range(int(np.clip(TRIAL / model.opt.timestep, 1, TRIAL_STEPS))):
             mujoco.mj_step(model, data)
             if not (np.abs(data.qpos).max() < 1e6 and np.abs(data.qvel).max() < 1e6):
                 raise BodyError(

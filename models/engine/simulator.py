@@ -16,9 +16,12 @@ from typing import Any
 import numpy as np
 
 from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
+from invdyn.models.bodies.scalars import BodyError
 
 AT_ONCE = 2**22
 """Numbers of states and sensors that one batch may fill."""
+MAX_STEPS = 2000
+"""Between two rows."""
 RAN_AWAY = 1e8
 """m, rad or their rates, beyond which a simulation has no meaning."""
 
@@ -114,9 +117,14 @@ class Simulator:
 def unique_steps(seconds: np.ndarray, longest: float) -> tuple[np.ndarray, list[tuple[float, int]]]:
     """Which step each row (T,) takes, and of each step its length in s and how often: at most ``longest`` s each.
 
-    Times that differ by less than a millionth of themselves are one.
+    Times that differ by less than a millionth of themselves are one. Raises BodyError for more than ``MAX_STEPS``.
     """
     rounded = np.array([float(f"{value:.6e}") for value in seconds])
     values, which = np.unique(rounded, return_inverse=True)
     counts: Sequence[int] = [max(1, int(np.ceil(value / longest - 1e-6))) for value in values]
+    if max(counts) > MAX_STEPS:
+        raise BodyError(
+            f"expected at most {MAX_STEPS} of MuJoCo's steps from a row to the next, got {max(counts)} in "
+            f"{values.max():g} s: give times in s, leave gaps out, or raise the file's timestep"
+        )
     return which, [(float(value) / count, count) for value, count in zip(values, counts, strict=True)]

@@ -310,6 +310,16 @@ BAD = {
         '<general joint="knee" biastype="affine" gainprm="0" biasprm="5 -1e7 0"/></actuator>'),
         "the simulation runs away by itself",
     ),
+    "a body without mass": (
+        legs.leg_file("hop").replace('mass=".3"', 'mass="0"').replace('name="foot" type', 'name="foot" mass="0" type'),
+        "mass and inertia of moving bodies must be larger",
+    ),
+    "a mesh that is not there": (
+        legs.leg_file("hop").replace("<worldbody>", '<asset><mesh name="m" file="gone.stl"/></asset><worldbody>'
+        '<geom type="mesh" mesh="m"/>'),
+        r"model\.xml: names 'gone\.stl', which is no file",
+    ),
+    "a URDF": ('<robot name="arm"><link name="base"/></robot>', "expected MJCF, with <mujoco> around it, got <robot>"),
     "too many shapes": (
         legs.leg_file("hop").replace("</worldbody>", '<geom size=".01" pos="0 0 9"/>' * 600 + "</worldbody>"),
         "expected at most 500 shapes that may touch something, got 60",
@@ -333,6 +343,7 @@ def test_bad_models_are_refused_in_one_line(case, tmp_path):
     with pytest.raises(BodyError, match=message) as refused:
         Scene.of(Path(path))
     assert "\n" not in str(refused.value)
+    assert str(refused.value).count("model.xml") == 1
 
 
 @pytest.mark.parametrize(

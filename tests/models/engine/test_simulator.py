@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.simulator import Simulator, unique_steps
 
 TORQUES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -64,3 +65,8 @@ def test_rows_of_several_lengths():
     assert [count for _, count in steps] == [3, 3, 5]
     assert [length * count for length, count in steps] == pytest.approx([0.01, 0.0102, 0.02])
     assert all(length <= 0.004 for length, _ in steps)
+
+
+def test_times_in_another_unit_are_refused_in_one_line():
+    with pytest.raises(BodyError, match=r"at most 2000 of MuJoCo's steps from a row to the next, got 5000 in 10 s"):
+        unique_steps(np.array([10.0, 10.0]), 0.002)
