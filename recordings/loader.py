@@ -11,7 +11,7 @@ from . import catalogue
 from .errors import InputError, about
 from .formats.keypoint_csv import numbers_frames, read_keypoint_csv
 from .formats.registry import FORMATS, Format, recognise
-from .naming import closest, same_letters
+from .naming import closest, of_one_side, same_letters, some
 from .paths import check_readable, resolved
 from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
@@ -180,7 +180,7 @@ def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_f
         )
     if not own_frame and known:
         warnings.warn(
-            f"{recording.name}: the base {base!r} is not tracked (the file has {', '.join(known)}), so it is taken to "
+            f"{recording.name}: the base {base!r} is not tracked (the file has {some(known)}), so it is taken to "
             "rest where the body's is, in the file's own frame; pass --set base=NAME, a keypoint, if it is one",
             stacklevel=2,
         )
@@ -193,6 +193,8 @@ def _keep(
     if base is not None and base in recording.keypoint_names and np.isfinite(recording.keypoint(base)).any():
         recording = recording.about(base)
     if keypoints is not None and recording.keypoint_names:
+        if base is not None and base in recording.keypoint_names:
+            recording = _with_names_of(recording, keypoints, base)
         _check_names("keypoint", keypoints, recording.keypoint_names)
         if base is not None and base in recording.keypoint_names and base not in keypoints:
             keypoints = (base, *keypoints)
@@ -203,8 +205,21 @@ def _keep(
     return recording
 
 
+def _with_names_of(recording: Recording, keypoints: Sequence[str], base: str) -> Recording:
+    """The recording whose keypoints that are of the base's side have the body's names; a warning says which."""
+    known = recording.keypoint_names
+    called = of_one_side([name for name in keypoints if name not in known], known, base)
+    if not called:
+        return recording
+    words = ", ".join(f"{name} is {other!r}" for other, name in called.items())
+    warnings.warn(f"{recording.name}: {words}, as the base is {base!r}", stacklevel=3)
+    return replace(recording, keypoint_names=tuple(called.get(name, name) for name in known))
+
+
 def _check_names(kind: str, names: Sequence[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             hint = closest(name, [other for other in known if other not in names])
-            raise InputError(f"{kind} {name!r} is missing: the file has {', '.join(known)}{hint}; rename one of them")
+            sided = kind == "keypoint" and hint and name.casefold() in hint.casefold()
+            more = ", or pass --set base=NAME, the first joint's keypoint of that side" if sided else ""
+            raise InputError(f"{kind} {name!r} is missing: the file has {some(known)}{hint}; rename one of them{more}")

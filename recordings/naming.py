@@ -1,7 +1,10 @@
-"""Names: suggestions for misspelt ones, and one animal of several. Case, spaces and hyphens count least."""
+"""Names: suggestions for misspelt ones, one animal of several, one side of a body.
+
+Case, spaces, dots and hyphens count least.
+"""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from .errors import InputError
 
@@ -23,8 +26,31 @@ def closest(name: str, known: Iterable[str]) -> str:
     return "" if near is None else f" (closest: {near!r})"
 
 
+def of_one_side(wanted: Sequence[str], known: Sequence[str], base: str) -> dict[str, str]:
+    """By name in a file, what a body calls it: "R.Elbow" is an elbow where the base is "R.Shoulder".
+
+    What stands before or after the body's name must stand there in the ``base``, too. Empty unless that gives one
+    keypoint for each of the names that are ``wanted``.
+    """
+    first = _letters(base)
+    found: dict[str, list[str]] = {}
+    for name in wanted:
+        own = _letters(name)
+        for other in known:
+            before, word, after = _letters(other).partition(own)
+            if word and before + after and first.startswith(before) and first.endswith(after):
+                found.setdefault(name, []).append(other)
+    alone = {others[0]: name for name, others in found.items() if len(others) == 1}
+    return alone if len(alone) == len(wanted) else {}
+
+
+def some(names: Sequence[str]) -> str:
+    """The names for a message, the first twelve of many."""
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
 def _letters(name: str) -> str:
-    return "".join(letter for letter in name.casefold() if letter not in " _-\t")
+    return "".join(letter for letter in name.casefold() if letter not in " ._-\t")
 
 
 def choose_individual(names: list[str], individual: str | None) -> str:

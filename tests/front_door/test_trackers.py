@@ -79,7 +79,7 @@ def test_a_trackers_file_becomes_the_arms_tips(folder, kind, group):
 def test_options_that_a_file_has_no_use_for_are_said(folder, run):
     file, _ = write("trc", places((0, 0)))
     for option, words in (
-        (("--set", "individual=ada"), "holds one body: leave individual out"),
+        (("--set", "individual=ada"), "hold one body: leave individual out"),
         (("--set", "plane=xw"), "plane is two of the file's axes"),
     ):
         outcome = run("infer", file, "--body", "arm.toml", "--out", "p.nc", *option)

@@ -1,7 +1,8 @@
+import numpy as np
 import pytest
 
 from invdyn.recordings import InputError, load
-from invdyn.recordings.naming import nearest, same_letters
+from invdyn.recordings.naming import nearest, of_one_side, same_letters
 
 
 def test_names_alike_differ_in_case_and_separators_alone():
@@ -49,3 +50,41 @@ def test_the_projects_own_file_offers_the_base_too(tmp_path):
     (tmp_path / "rec.csv").write_text("time,Hip_x,Hip_y,toe_x,toe_y\n0,0,0,.3,0\n.1,0,0,.3,0\n")
     with pytest.raises(InputError, match=r"unknown 'Hip' \(closest: 'hip'\)"):
         load(tmp_path / "rec.csv", keypoints=("toe",), base="hip")
+
+
+SIDES = ("R.Shoulder", "L.Shoulder", "R.Elbow", "L.Elbow", "R.Wrist", "L.Wrist", "R.Wrist.Ulnar")
+
+
+@pytest.mark.parametrize(
+    ("known", "base", "found"),
+    [
+        (SIDES, "R.Shoulder", {"R.Elbow": "elbow", "R.Wrist": "wrist"}),
+        (SIDES, "L.Shoulder", {"L.Elbow": "elbow", "L.Wrist": "wrist"}),
+        (
+            ("right_shoulder", "right_elbow", "left_elbow", "right_wrist"),
+            "right_shoulder",
+            ("right_elbow", "right_wrist"),
+        ),
+        (("shoulder_L", "elbow_L", "elbow_R", "wrist_L"), "shoulder_L", ("elbow_L", "wrist_L")),
+        (("R.Shoulder", "R.Elbow", "L.Wrist"), "R.Shoulder", {}),  # one of the two is of the other side
+        (("R.Shoulder", "R.Elbow", "r elbow", "R.Wrist"), "R.Shoulder", {}),  # nothing says which elbow
+        (("R.Acromion", "R.Elbow", "R.Wrist"), "R.Acromion", ("R.Elbow", "R.Wrist")),
+    ],
+)
+def test_keypoints_of_the_bases_side_are_found(known, base, found):
+    expected = found if isinstance(found, dict) else dict(zip(found, ("elbow", "wrist"), strict=True))
+    assert of_one_side(("elbow", "wrist"), known, base) == expected
+
+
+def test_a_body_takes_its_keypoints_of_one_side(tmp_path):
+    path, asked = film(tmp_path, *SIDES[:4]), {"units": "mm", "fps": 30, "keypoints": ("elbow",)}
+    with pytest.warns(UserWarning, match="elbow is 'L.Elbow', as the base is 'L.Shoulder'"):
+        recording = load(path, base="L.Shoulder", **asked)
+    assert recording.keypoint_names == ("L.Shoulder", "elbow")
+    plain = load(path, base="L.Shoulder", **asked | {"keypoints": ("L.Elbow",)})
+    np.testing.assert_array_equal(recording.keypoints, plain.keypoints)
+    with (
+        pytest.warns(UserWarning, match="is not tracked"),
+        pytest.raises(InputError, match=r"rename one of them, or pass --set base=NAME, the first joint's"),
+    ):
+        load(path, base="shoulder", **asked)
