@@ -123,7 +123,7 @@ def test_nwb_has_its_own_times(tmp_path, movement, tracks):
     np.testing.assert_allclose(np.diff(recording.time), 1 / FPS)
     expected = tracks.sel(individuals="ada").position.transpose("time", "keypoints", "space").to_numpy()
     np.testing.assert_allclose(recording.keypoints, expected * [1, -1], rtol=1e-6)
-    with pytest.raises(InputError, match="its own times: leave --fps out"):
+    with pytest.raises(InputError, match="their own times: leave --fps out"):
         load(path, units="px", fps=FPS)
 
 
