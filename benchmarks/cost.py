@@ -16,6 +16,7 @@ above what it was before.
 
 import argparse
 import json
+import math
 import os
 import resource
 import shlex
@@ -113,6 +114,28 @@ def measure(
     }
 
 
+def wandering_arm(rows: int, path: Path) -> None:
+    """A file of keypoints of the paper's arm, 30 frames a second, that torques without damping would make whirl.
+
+    Angles of joints are stationary: white noise through three low passes of .2 s, of a standard deviation of .5 rad.
+    """
+    import numpy as np
+    from scipy.signal import lfilter
+
+    from invdyn.recordings.tables import write_table
+
+    rng, keep = np.random.default_rng(0), math.exp(-1 / 30 / 0.2)
+    angles = rng.standard_normal((rows + 300, 2))
+    for _ in range(3):
+        angles = lfilter([1.0], [1.0, -keep], angles, axis=0)
+    angles = 0.5 * (angles / angles.std(0))[300:] + np.array([-math.pi / 2, 0.0])
+    steps = np.stack([np.cos(angles.cumsum(-1)), np.sin(angles.cumsum(-1))], -1)
+    tips = steps.cumsum(1) + 0.005 * rng.standard_normal(steps.shape)
+    columns = {"time": np.arange(rows) / 30}
+    columns |= {f"{name}_{axis}": tips[:, k, c] for k, name in enumerate(("elbow", "wrist")) for c, axis in enumerate("xy")}
+    write_table(columns, path)
+
+
 def long_recordings(sizes: list[int], torque: str) -> None:
     """`invdyn infer --method laplace` in a fresh process, on recordings of so many rows: CPU seconds and memory."""
     folder = Path("build")
@@ -124,7 +147,7 @@ def long_recordings(sizes: list[int], torque: str) -> None:
         invdyn = [sys.executable, "-W", "ignore", "-m", "invdyn"]
         body = ["--body", "paper_planar_arm"]
         if not rec.exists():
-            subprocess.run([*invdyn, "simulate", *body, "--out", rec, "--duration", str((rows - 0.5) / 30)], check=True)
+            wandering_arm(rows, rec)
         command = [*invdyn, "infer", str(rec), *body, "--method", "laplace", "--torque", torque, "--out", str(out)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         _, status, used = os.wait4(child.pid, 0)
@@ -153,9 +176,7 @@ def measured(size: tuple[int, int, int, int], threads: int) -> dict[str, float]:
 
 def slope(x: list[float], y: list[float]) -> float:
     """Exponent b of y ∝ x^b between the last two sizes."""
-    from math import log
-
-    return log(y[-1] / y[-2]) / log(x[-1] / x[-2])
+    return math.log(y[-1] / y[-2]) / math.log(x[-1] / x[-2])
 
 
 def draw(sweeps: dict[str, list[dict[str, float]]]) -> None:

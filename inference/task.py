@@ -22,6 +22,7 @@ from invdyn.inference.execution.progress import Progress
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.best_guide import guides_agree
 from invdyn.inference.filters.filtering import SMCOptions
+from invdyn.inference.filters.memory import give_back
 from invdyn.inference.filters.moment_matching import exact_closed_form
 from invdyn.inference.filters.second_opinion import evidence
 from invdyn.inference.fit_processes import fingerprint, fit_processes, fitted_on_the_middle
@@ -100,6 +101,7 @@ class Task:
         With an ``executor`` its workers share the work (:mod:`.distribute`). Raises InputError when the method
         cannot do with an uncertain body, LostWork when workers that died could not be replaced.
         """
+        give_back()
         run: Callable[..., az.InferenceData] = METHODS[method]
         places: dict[str, Any] = {"executor": executor} if method in DISTRIBUTED else {}
         places |= {"checkpoint": self.checkpoint} if method in RESUMED else {}

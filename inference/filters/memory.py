@@ -7,8 +7,10 @@ particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
     trajectories  8 · 2 T M R D bytes       of all filters, in float64, as drawn and as they are saved
 """
 
+import ctypes
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from invdyn.inference.filters.filtering import SMCOptions
@@ -40,6 +42,12 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
             f"{what}: {filters} filters of {particles} particles and {draws} draws "
             f"over {rows} rows take {most / 1e9:.3g} GB of memory or more, and {there / 1e9:.3g} are there: take fewer"
         )
+
+
+def give_back() -> None:
+    """Return freed memory to the system: glibc keeps what lies between blocks, a fit of many rows hundreds of MB."""
+    with suppress(OSError, AttributeError, TypeError):  # other systems have another allocator
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def total_memory() -> float:

@@ -237,17 +237,22 @@ class Objective(Generic[M]):
         And of the first ``count`` sets mean paths, in deviations from ``path``, and draws from those, (2, count, T, D).
         """
         slopes = self._slopes_of_means(phi, path, covariance)
-        found: list[np.ndarray] = []
-        paths: list[np.ndarray] = []
+        found, paths = np.empty(len(shifts)), np.empty((2, count, *path.shape))
         at_once = max(1, min(SETS_AT_ONCE, ROWS_AT_ONCE // len(self.observations)))
-        for some in np.array_split(shifts, -(-len(shifts) // at_once)):
+        # Sets of the same transitions one after the other, whose fits are those of the sets before.
+        order = np.lexsort((shifts * slopes[0]).T)
+        shared: list[tuple[np.ndarray, SharedMeans]] = [(np.empty(0), SharedMeans(self.parameters.model))] * 2
+        for some in np.array_split(order, -(-len(shifts) // at_once)):
             centre, around = (each.expand(len(some), *each.shape) for each in (path, covariance))
-            moved, seen = (self._shared_means(phi, some, each) for each in slopes)
-            linear = fit_linear(self.at(phi + some), self.observations, centre, around, moved, seen)
-            mean, evidence, drawn = mean_and_evidence(linear, noise=self._noise, repair=REPAIR)
-            found.append(evidence)
-            paths.append(np.stack([mean, drawn])[:, : max(0, count - sum(map(len, found[:-1])))])
-        return np.concatenate(found), np.concatenate(paths, 1)
+            own = [shifts[some] * moves for moves in slopes]
+            shared = [self._shared_means(phi, *each) for each in zip(own, shared, strict=True)]
+            linear = fit_linear(
+                self.at(phi + shifts[some]), self.observations, centre, around, *(means for _, means in shared)
+            )
+            mean, found[some], drawn = mean_and_evidence(linear, noise=self._noise, repair=REPAIR)
+            wanted = some < count
+            paths[:, some[wanted]] = mean[wanted], drawn[wanted]
+        return found, paths
 
     def _slopes_of_means(self, phi: np.ndarray, path: Tensor, covariance: Tensor) -> list[np.ndarray]:
         """Which parameters move the means of transitions, and of emissions: (P, 1 + free), not 0 where they do."""
@@ -258,10 +263,14 @@ class Objective(Generic[M]):
         moving = moved_means(self.at(phi + each), path, covariance)
         return [each.T @ np.where(those, 1 / STEP, 0.0) for those in moving]
 
-    def _shared_means(self, phi: np.ndarray, shifts: np.ndarray, moves: np.ndarray) -> SharedMeans:
-        """The fewest parameter sets that have all means at φ + ``shifts`` (B, P)."""
-        fewer, number = np.unique(shifts * moves + 0.0, axis=0, return_inverse=True)
-        return SharedMeans(self.at(phi + fewer), torch.as_tensor(number))
+    def _shared_means(
+        self, phi: np.ndarray, shifts: np.ndarray, last: tuple[np.ndarray, SharedMeans]
+    ) -> tuple[np.ndarray, SharedMeans]:
+        """The fewest ``shifts`` (U, P) that have all means at φ + ``shifts`` (B, P), with fits of the ``last`` ones."""
+        fewer, number = np.unique(shifts + 0.0, axis=0, return_inverse=True)
+        same = np.array_equal(fewer, last[0])
+        means = last[1] if same else SharedMeans(self.at(phi + fewer))
+        return fewer, replace(means, number=torch.as_tensor(number))
 
 
 def _pairs(size: int) -> np.ndarray:

@@ -63,7 +63,9 @@ def functionals(idata: az.InferenceData) -> xr.Dataset:
     if "torque" not in posterior:
         raise InputError("a kinematic posterior has no torques, and so no peaks, impulses or work of them")
     order = (*DRAWS, "time", "joint")
-    values = path_functionals(_time(posterior), *(posterior[name].transpose(*order).values for name in PATHS))
+    chains = zip(*(posterior[name].transpose(*order).values for name in PATHS), strict=True)
+    found = [path_functionals(_time(posterior), *chain) for chain in chains]  # of all at once copies would take GB
+    values = {name: np.stack([each[name] for each in found]) for name in found[0]}
     unit = str(posterior["torque"].attrs["units"])
     energy = "J" if unit == "N·m" else unit
     units = {"peak": unit, "peak_time": "s", "impulse": f"{unit}·s", "peak_rate": f"{unit}/s"}

@@ -135,7 +135,7 @@ def to_inference_data(
     return equally_weighted(idata, weights.flatten(), joined_chains(*paths.shape[:2]))
 
 
-SINGLE_FROM, AT_ONCE = 4_000_000, 2_000_000
+SINGLE_FROM, AT_ONCE = 4_000_000, 500_000
 """Numbers of drawn states from which a posterior is kept in single precision, and how many of those are a block."""
 LONG_PATH = 16_000
 """The same of one path's numbers: parts of a posterior then have the precision of the whole."""

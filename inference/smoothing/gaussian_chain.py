@@ -29,7 +29,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.square_root import forward_mean
 
-PATHS_AT_ONCE = 64
+PATHS_AT_ONCE = 16
 """That are drawn without gradients."""
 
 

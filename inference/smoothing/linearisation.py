@@ -14,7 +14,7 @@ one model, each with its own path. All in float64.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ ONE_SIDED_FROM, ONE_SIDED_NUDGE, MIN_SD = 12, 3e-8, 0.1
 """States from which differences are one-sided: half of a work that grows with their square, for seven digits instead of
 ten. The nudge is then near the root of float64's rounding, where that and curvature do equal harm, in standard
 deviations that count as ``MIN_SD`` (rad, rad/s, N·m) at least."""
+NUMBERS_AT_ONCE = 500_000
+"""Of states, times D, at which a model is evaluated in one call."""
 
 
 @dataclass
@@ -153,15 +155,30 @@ def slopes_along(model: StateSpaceModel, path: Tensor, by_mean: bool = True) -> 
     nudges, central = nudges_of(model)
     independent, shown = model.independent_sensor_states or ([], [])
 
-    def transition(x: Tensor) -> Tensor:
-        return gaussian_mean(model.transition(x, rows[1:]))
+    def emission(rows: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        return differences(lambda x: emission_mean(model, x, rows), x, nudges, independent, shown, central)
+
+    def transition(rows: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        mean = lambda x: gaussian_mean(model.transition(x, rows))  # noqa: E731
+        return differences(mean, x, nudges, independent, independent, central)
 
     H = path.new_zeros(*path.shape[:-1], 0, path.shape[-1])
     if by_mean:
-        H = differences(lambda x: emission_mean(model, x, rows), path, nudges, independent, shown, central)[1]
+        H = over_rows(emission, rows, path)[1]
     if model.contact_states is not None:
         nudges, central = JUMP * torch.ones(path.shape[-1]).to(path), False
-    return differences(transition, path[..., :-1, :], nudges, independent, independent, central)[1], H
+    return over_rows(transition, rows[1:], path[..., :-1, :])[1], H
+
+
+def over_rows(function: Callable[..., Sequence[Tensor]], rows: Tensor, *pieces: Tensor) -> list[Tensor]:
+    """What a ``function`` of ``rows`` (T,) and ``pieces``, states (…, T, D) first, has of all, by blocks of rows.
+
+    It is called at the ends of D steps of each state: copies of a long recording would take most of the memory.
+    """
+    axis, dim = pieces[0].ndim - 2, pieces[0].shape[-1]
+    size = max(1, NUMBERS_AT_ONCE * len(rows) // max(1, pieces[0].numel() * dim))
+    blocks = zip(rows.split(size), *(each.split(size, axis) for each in pieces), strict=True)
+    return [torch.cat(each, axis) for each in zip(*(function(*block) for block in blocks), strict=True)]
 
 
 def nudges_of(model: StateSpaceModel) -> tuple[Tensor, bool]:

@@ -15,7 +15,7 @@ which is what lowers the variance of log Ẑ in noisy settings.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -24,15 +24,15 @@ from torch import Tensor
 
 from invdyn.inference.contract import check_model
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, solve
-from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, prior_chain
+from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, over_rows, prior_chain
 from invdyn.inference.smoothing.newton_rows import averaged_newton_rows, keeps_noise
 from invdyn.inference.smoothing.square_root import apply, forward_mean
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import explained, gaussian_rows
 from invdyn.models.state_space import StateSpaceModel, gaussian_mean
 
-Mean = Callable[[StateSpaceModel, Tensor], Tensor]
-"""From a model and states (…, T, D) to means (…, T, P)."""
+Mean = Callable[[StateSpaceModel, Tensor, Tensor], Tensor]
+"""From a model, states (…, T, D) and their rows (T,) to means (…, T, P)."""
 Fits = tuple[Tensor, Tensor, Tensor]
 """Value, slope and error, as :func:`regress` has them."""
 
@@ -105,21 +105,29 @@ def recentred_on_mean(
 class SharedMeans:
     """A model of B parameter sets by fewer, U, that have the same means: a noise scale, say, moves none.
 
-    ``number`` (B,) is that of each set's mean among the U; None where each has its own.
+    Means are those of transitions, or of emissions.
+
+    ``number`` (B,) is that of each set's mean among the U; None where each has its own. ``fits`` are those of the U,
+    once they are known, for other sets with the same means.
     """
 
     model: StateSpaceModel
     number: Tensor | None = None
+    fits: list[Tensor] = field(default_factory=list)
 
-    def regressed(
-        self, mean: Mean, centre: Tensor, root: Tensor, independent: Sequence[int], shown: Sequence[int]
-    ) -> Fits:
-        """:func:`regress` of a ``mean`` of the model, over the same N(centre, root rootᵀ) in all sets."""
-        if self.number is None:
-            return regress(lambda x: mean(self.model, x), centre, root, independent, shown)
-        sets = int(self.number.max()) + 1
-        value, slope, error = regress(lambda x: mean(self.model, x), centre[:sets], root[:sets], independent, shown)
-        return value[self.number], slope[self.number], error[self.number]
+    def regressed(self, mean: Mean, rows: Tensor, path: Tensor, covariance: Tensor, shown: Sequence[int]) -> Fits:
+        """:func:`regress` of a ``mean`` of the model, over the same N(path, covariance) in all sets."""
+        independent, _ = self.model.independent_sensor_states or ([], [])
+
+        def fitted(rows: Tensor, centre: Tensor, covariance: Tensor) -> Fits:
+            root = _root_of_others(covariance, independent)
+            return regress(lambda x: mean(self.model, x, rows), centre, root, independent, shown)
+
+        if not self.fits:
+            sets = slice(None) if self.number is None else slice(int(self.number.max()) + 1)
+            self.fits.extend(over_rows(fitted, rows, path[sets], covariance[sets]))
+        value, slope, error = (each if self.number is None else each[self.number] for each in self.fits)
+        return value, slope, error
 
 
 def fit_linear(
@@ -178,9 +186,9 @@ class Fitted:
     @classmethod
     def of(cls, model: StateSpaceModel, observations: Tensor, path: Tensor, covariance: Tensor) -> "Fitted":
         """Fit the means of a ``model`` over N(path, covariance), (T, D) and (T, D, D)."""
-        shared = SharedMeans(model.to(dtype=torch.float64, device="cpu"))
-        transitions = _transitions(shared, path, covariance)
-        emissions = _emissions(shared, path, covariance)
+        model = model.to(dtype=torch.float64, device="cpu")
+        transitions = _transitions(SharedMeans(model), path, covariance)
+        emissions = _emissions(SharedMeans(model), path, covariance)
         return cls(observations.detach().cpu().double(), path, covariance, transitions, emissions)
 
     def linear(self, model: StateSpaceModel) -> Linearisation:
@@ -226,19 +234,17 @@ def _differ(values: Sequence[Tensor]) -> Tensor:
 
 
 def _transitions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:
-    rows = torch.arange(1, path.shape[-2])
+    def mean(model: StateSpaceModel, x: Tensor, rows: Tensor) -> Tensor:
+        return gaussian_mean(model.transition(x, rows))
+
     independent, _ = shared.model.independent_sensor_states or ([], [])
-    root = _root_of_others(covariance, independent)[..., :-1, :, :]
-    return shared.regressed(
-        lambda model, x: gaussian_mean(model.transition(x, rows)), path[..., :-1, :], root, independent, independent
-    )
+    rows = torch.arange(1, path.shape[-2])
+    return shared.regressed(mean, rows, path[..., :-1, :], covariance[..., :-1, :, :], independent)
 
 
 def _emissions(shared: SharedMeans, path: Tensor, covariance: Tensor) -> Fits:
-    rows = torch.arange(path.shape[-2])
-    independent, shown = shared.model.independent_sensor_states or ([], [])
-    root = _root_of_others(covariance, independent)
-    return shared.regressed(lambda model, x: emission_mean(model, x, rows), path, root, independent, shown)
+    _, shown = shared.model.independent_sensor_states or ([], [])
+    return shared.regressed(emission_mean, torch.arange(path.shape[-2]), path, covariance, shown)
 
 
 def regress(

@@ -214,10 +214,16 @@ def test_means_that_no_parameter_moves_are_fitted_once_and_nothing_else_changes(
     monkeypatch.setattr(objective, "SETS_AT_ONCE", 64)  # all sets at once
     shared = Objective(model, rows, free, None)._evaluate(phi)
     assert fitted[-2:] == [1 + 2 * 5 + 10, 1 + 2 * 2 + 1]
-    monkeypatch.setattr(Objective, "_shared_means", lambda *_: None)
-    for one, other in zip(shared, Objective(model, rows, free, None)._evaluate(phi), strict=True):
+    before = len(fitted)
+    monkeypatch.setattr(objective, "SETS_AT_ONCE", 1)  # as of a long recording
+    alone = Objective(model, rows, free, None)._evaluate(phi)
+    assert sum(fitted[before:]) == sum(fitted[:before])
+    monkeypatch.setattr(objective, "SETS_AT_ONCE", 64)
+    monkeypatch.setattr(Objective, "_slopes_of_means", lambda *_: [np.ones(8)] * 2)
+    for one, by_one, other in zip(shared, alone, Objective(model, rows, free, None)._evaluate(phi), strict=True):
         # sums of other lengths may be rounded otherwise, which differences over STEP² blow up
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
+        np.testing.assert_allclose(by_one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
 
 def test_other_parameters_are_looked_at_over_the_same_posterior():
