@@ -132,7 +132,8 @@ def wandering_arm(rows: int, path: Path) -> None:
     steps = np.stack([np.cos(angles.cumsum(-1)), np.sin(angles.cumsum(-1))], -1)
     tips = steps.cumsum(1) + 0.005 * rng.standard_normal(steps.shape)
     columns = {"time": np.arange(rows) / 30}
-    columns |= {f"{name}_{axis}": tips[:, k, c] for k, name in enumerate(("elbow", "wrist")) for c, axis in enumerate("xy")}
+    for k, name in enumerate(("elbow", "wrist")):
+        columns |= {f"{name}_x": tips[:, k, 0], f"{name}_y": tips[:, k, 1]}
     write_table(columns, path)
 
 

@@ -21,9 +21,12 @@ def derived(seed: int, *place: int) -> int:
 
 
 class Stream:
-    """Random numbers of an iterator: torch's, from ``seed`` on, that nothing drawn between two of its items moves."""
+    """Random numbers of an iterator: torch's, from ``seed`` on, that nothing drawn between two of its items moves.
 
-    def __init__(self, seed: int, device: torch.device | str = "cpu"):
+    From where torch's own are, without a seed.
+    """
+
+    def __init__(self, seed: int | None, device: torch.device | str = "cpu"):
         self.device = torch.device(device)
         with seeded(seed, self.device):
             self._states = self._current()

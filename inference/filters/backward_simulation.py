@@ -39,9 +39,9 @@ def genealogy(result: FilterResult, num_draws: int) -> Tensor:
     """Ancestral lines (M, R, W, D) of R final particles a filter, drawn by weight."""
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     lines = []
-    for t in range(len(result.states) - 1, -1, -1):
-        lines.append(take_at(result.states[t], index))
-        index = result.ancestors[t].long().gather(-1, index)
+    for states, _, _, ancestors in result.backwards():
+        lines.append(take_at(states, index))
+        index = ancestors.long().gather(-1, index)
     return torch.stack(lines[::-1], -2)
 
 
@@ -74,7 +74,7 @@ def backward_simulation(
     """
     observations = check_model(model, observations, needs=("transition_density",))
     model, observations = in_double(model, observations, result)
-    kept, bridge = len(result.states), None
+    kept, bridge = result.rows, None
     if smoother is not None and kept > block + 2 and exact_closed_form(model, smoother.path):
         bridge = Bridge(model, observations, smoother, block)
 
@@ -108,17 +108,16 @@ def in_double(model: StateSpaceModel, observations: Tensor, result: FilterResult
 
 def walked_back(result: FilterResult, rows: int, num_draws: int, step: Step) -> Tensor:
     """Trajectories (M, R, W, D): final particles of ``result``, by weight, and before each what ``step`` draws."""
-    states, kept = result.states, len(result.states)
+    states, kept = result.states, result.rows
     # Integers stay integers, by which a model may index.
     dtype = torch.float64 if states.is_floating_point() else states.dtype
     index = categorical(result.log_weights[-1].unsqueeze(-2).expand(-1, num_draws, -1))
     path = torch.empty(*index.shape, kept, states.shape[-1], dtype=dtype, device=states.device)
     path[..., kept - 1, :] = take_at(states[-1], index).to(dtype)
-    for k in range(kept - 2, -1, -1):
-        log_weights = result.log_weights[k].double()
-        if result.log_twist is not None:
-            log_weights = log_weights - result.log_twist[k].double()
-        index = step(k, rows - kept + k + 1, states[k].to(dtype), log_weights, path, index)
+    for k, (here, weights, twist, _) in zip(range(kept - 1, -1, -1), result.backwards(), strict=True):
+        if k < kept - 1:
+            log_weights = weights.double() if twist is None else weights.double() - twist.double()
+            index = step(k, rows - kept + k + 1, here.to(dtype), log_weights, path, index)
     return path
 
 

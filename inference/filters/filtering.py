@@ -150,6 +150,7 @@ def run_filters(
     keep: int | None = None,
     progress: Report | None = None,
     kind: type[ParticleFilter] = ParticleFilter,
+    windows: bool = False,
 ) -> FilterResult:
     """Run M filters with ``guide`` "controlled", "defended" or "bootstrap"; see :meth:`ParticleFilter.run`.
 
@@ -169,7 +170,7 @@ def run_filters(
         ess_threshold=options.ess_threshold,
         resampling=options.resampling,
     )
-    return particle_filter.run(rows, keep=keep, progress=progress)
+    return particle_filter.run(rows, keep=keep, progress=progress, windows=windows)
 
 
 def in_type(
@@ -217,7 +218,9 @@ def run_task(
     backward = options.smoothing == "backward"
     observations = check_model(model, observations, needs=("transition_density",) if backward else ())
     with seeded(seed, options.device):
-        result = run_filters(model, observations, options, guide=guide, smoother=smoother, progress=counted(0)).cpu()
+        result = run_filters(
+            model, observations, options, guide=guide, smoother=smoother, progress=counted(0), windows=True
+        ).cpu()
         paths = (
             backward_simulation(
                 model, result, observations, options.num_draws, smoother=smoother, progress=counted(rows)

@@ -3,11 +3,13 @@
 What a run holds at once is bounded from below, so that nothing is refused that fits: of M filters in tasks of m, with N
 particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
 
-    particles     4 T m N (D + 2) bytes     every row's states, weights and ancestors, of one task, in float32
+    particles     4 T m N (D + 2) bytes     every row's states, weights and ancestors, of one task, in float32;
+                                            in windows (:mod:`.windows`) of 2 √T rows
     trajectories  8 · 2 T M R D bytes       of all filters, in float64, as drawn and as they are saved
 """
 
 import ctypes
+import math
 import os
 import sys
 from contextlib import suppress
@@ -16,7 +18,9 @@ from pathlib import Path
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.recordings import InputError
 
-PARTICLES = frozenset({"smc", "bootstrap", "particle-gibbs", "vsmc"})
+WINDOWED = frozenset({"smc", "bootstrap"})
+"""Methods that keep particles of a window of rows at a time."""
+PARTICLES = WINDOWED | {"particle-gibbs", "vsmc"}
 """Methods that keep particles; the others have trajectories alone."""
 
 
@@ -27,9 +31,10 @@ def check_memory(rows: int, joints: int, options: SMCOptions, methods: tuple[str
     """
     options.check()
     state = 3 * joints
+    kept = rows if (PARTICLES - WINDOWED) & {*methods} else min(rows, 2 * math.isqrt(rows))
     taken = {
         "--filters × --set draws": 16 * rows * options.num_filters * options.num_draws * state,
-        "--particles": 4 * rows * options.at_once * options.num_particles * (state + 2)
+        "--particles": 4 * kept * options.at_once * options.num_particles * (state + 2)
         if PARTICLES & {*methods}
         else 0,
     }

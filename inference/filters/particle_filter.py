@@ -39,6 +39,7 @@ from invdyn.inference.filters.compiled import CompiledRows
 from invdyn.inference.filters.particles import FilterResult, FilterState, History
 from invdyn.inference.filters.proposal import Particles, Proposal, PyroSteps
 from invdyn.inference.filters.weights import Row, advanced, normalised, resampled
+from invdyn.inference.filters.windows import in_windows, window_rows
 from invdyn.models.divergence import ran_away
 
 PATIENCE = 1000
@@ -185,6 +186,7 @@ class ParticleFilter(SMCFilter):
         keep: int | None = None,
         progress: Callable[[int, int], None] | None = None,
         synchronous: bool | None = None,
+        windows: bool = False,
     ) -> FilterResult:
         """Filter observations (T, O), NaN where missing.
 
@@ -197,6 +199,8 @@ class ParticleFilter(SMCFilter):
             synchronous: whether the host looks at each row's weights, to leave out resampling where no filter needs
                 it and to name a row at once where all weights are zero. By default on a CPU; elsewhere each look
                 would be a wait, and a dead filter is found up to a thousand rows later.
+            windows: of all rows to keep, have the particles of one window of rows at a time (:mod:`.windows`), where
+                there are many.
 
         Raises ModelError for a model that does not fit the observations (:mod:`invdyn.inference.contract`);
         SMCFailed when all particles of some filter have weight zero.
@@ -212,28 +216,40 @@ class ParticleFilter(SMCFilter):
         )
         self._itself = self.ancestors
         history = History(rows, rows if keep is None else min(keep, rows), shape[0], device)
-        particles: Particles = {}
         self._numbers = torch.arange(rows, device=device).unsqueeze(-1).unbind()
         seen = ~torch.isnan(observations)
-        whole, any_seen = seen.all(-1).tolist(), seen.any(-1).tolist()
+        self._seen = seen, seen.all(-1).tolist(), seen.any(-1).tolist()
+
+        def onward(own: "ParticleFilter", particles: Particles, numbers: range, report: Any = progress) -> Particles:
+            for t in numbers:
+                particles = own._onward(t, observations[t], particles, history, synchronous)
+                if report is not None:
+                    report(t + 1, rows)
+            return particles
+
         with seeded(seed, device):
-            for t, y in enumerate(observations.unbind()):
-                row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
-                particles, self._log_weights, total, self.ess = row
-                self.log_evidence = self.log_evidence + total
-                self.row += 1
-                history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
-                self.resampled = self._need(last=t == rows - 1)
-                history.note(t, total, self.ess, self.resampled)
-                if synchronous:
-                    self._alive(total[None], t, particles["x"])
-                elif self.row % PATIENCE == 0 or self.row == rows:
-                    first = (t // PATIENCE) * PATIENCE
-                    self._alive(history.increment[first : t + 1], first)
-                particles = self._resample(particles, synchronous)
-                if progress is not None:
-                    progress(t + 1, rows)
+            size = window_rows(rows, math.prod(shape), self.model.state_dim) if windows and keep is None else rows
+            if size < rows:
+                return in_windows(self, history, onward, rows, size)
+            onward(self, {}, range(rows))
         return history.result(self.log_evidence)
+
+    def _onward(self, t: int, y: Tensor, particles: Particles, history: History, synchronous: bool) -> Particles:
+        """From the particles that go on to row t to those that go on from it."""
+        rows, (seen, whole, any_seen) = len(self._numbers), self._seen
+        row = self._row(t, y, None if whole[t] else seen[t], particles, any_seen[t], last=t == rows - 1)
+        particles, self._log_weights, total, self.ess = row
+        self.log_evidence = self.log_evidence + total
+        self.row += 1
+        history.keep_row(t, particles["x"], self._log_weights, self.ancestors, particles.get("log_twist"))
+        self.resampled = self._need(last=t == rows - 1)
+        history.note(t, total, self.ess, self.resampled)
+        if synchronous:
+            self._alive(total[None], t, particles["x"])
+        elif self.row % PATIENCE == 0 or self.row == rows:
+            first = (t // PATIENCE) * PATIENCE
+            self._alive(history.increment[first : t + 1], first)
+        return self._resample(particles, synchronous)
 
     def _row(self, t: int, y: Tensor, seen: Tensor | None, particles: Particles, any_seen: bool, last: bool) -> Row:
         """Row t, by a compiled graph where there is one."""

@@ -1,7 +1,7 @@
 """What particle filters carry: their result, its history, and Pyro's particle state for many filters at once."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -23,6 +23,7 @@ class FilterResult:
         log_weights: (W, M, N) their normalised log-weights.
         log_twist: (W, M, N) log ψ̃_t(x_t), to be subtracted for the untwisted filter; or None.
         ancestors: (W, M, N) index at the row before of each particle's parent (row 0: itself).
+        before: makes the same of the rows before these W, where all rows are smoothed in windows.
     """
 
     log_evidence: Tensor
@@ -33,12 +34,29 @@ class FilterResult:
     log_weights: Tensor
     log_twist: Tensor | None
     ancestors: Tensor
+    before: "Callable[[], FilterResult] | None" = None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows whose particles are there, or can be made."""
+        return len(self.states) if self.before is None else len(self.ess)
+
+    def backwards(self) -> Iterator[tuple[Tensor, Tensor, Tensor | None, Tensor]]:
+        """States, log-weights, log-twist and ancestors of those rows, from the last one."""
+        some: FilterResult | None = self
+        while some is not None:
+            for k in range(len(some.states) - 1, -1, -1):
+                twist = None if some.log_twist is None else some.log_twist[k]
+                yield some.states[k], some.log_weights[k], twist, some.ancestors[k]
+            some = some.before and some.before()
 
     def cpu(self) -> "FilterResult":
         """The same on the CPU, where paths are smoothed in float64, as the smoother is."""
 
         def moved(name: str) -> Any:
             value = getattr(self, name)
+            if callable(value):
+                return lambda: value().cpu()
             return value if value is None else value.cpu()
 
         return FilterResult(**{field.name: moved(field.name) for field in fields(self)})
@@ -65,8 +83,12 @@ class History:
         self.increment = torch.empty(rows, filters, dtype=torch.float64, device=device)
         self.ess = torch.empty_like(self.increment)
         self.resampled = torch.empty(rows, filters, dtype=torch.bool, device=device)
+        self.keep_from(self.first, keep)
+
+    def keep_from(self, first: int, count: int) -> None:
+        """Keep ``count`` rows from this one on, and no longer those before."""
+        self.first, self._keep = first, count
         self._kept: list[Tensor] = []
-        self._keep = keep
 
     def note(self, t: int, increment: Tensor, ess: Tensor, resampled: Tensor) -> None:
         """Row t's evidence increment, ESS and whether it was resampled, (M,) each."""
@@ -75,7 +97,7 @@ class History:
 
     def keep_row(self, t: int, x: Tensor, log_weights: Tensor, parents: Tensor, log_twist: Tensor | None) -> None:
         """Row t's particles, if it is one of those to keep."""
-        if t < self.first:
+        if not 0 <= t - self.first < self._keep:
             return
         # Integers hold no log-weights.
         weights = log_weights.to(x.dtype) if x.is_floating_point() else log_weights
@@ -86,7 +108,7 @@ class History:
         for whole, piece in zip(self._kept, pieces, strict=True):
             whole[t - self.first] = piece
 
-    def result(self, log_evidence: Tensor) -> FilterResult:
+    def result(self, log_evidence: Tensor, before: Callable[[], FilterResult] | None = None) -> FilterResult:
         """All of it."""
         states, log_weights, ancestors, *twist = self._kept or [torch.empty(0)] * 3
         return FilterResult(
@@ -98,6 +120,7 @@ class History:
             log_weights=log_weights,
             log_twist=twist[0] if twist else None,
             ancestors=ancestors,
+            before=before,
         )
 
 

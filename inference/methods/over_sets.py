@@ -236,7 +236,7 @@ def _filtered(
         ess_threshold=options.ess_threshold,
         resampling=options.resampling,
     )
-    result = filters.run(rows).cpu()
+    result = filters.run(rows, windows=True).cpu()
     return genealogy(result, options.num_draws), result
 
 

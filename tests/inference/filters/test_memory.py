@@ -14,10 +14,16 @@ def one_gigabyte(monkeypatch):
 
 
 def test_what_is_asked_for_is_what_states_weights_and_trajectories_take():
-    """100 rows of two joints have 6 numbers: 4 · 100 · 32 · (6 + 2) bytes are 102,400 a particle of each filter."""
-    check_memory(100, 2, SMCOptions(64, 9_765, 1), ("smc",))
+    """100 rows of two joints have 6 numbers: 4 · 100 · 32 · (6 + 2) bytes are 102,400 a particle of each filter.
+
+    And windows of smc have twenty of these rows in memory.
+    """
+    check_memory(100, 2, SMCOptions(64, 9_765, 1), ("vsmc",))
     with pytest.raises(InputError, match=r"--particles: 64 filters of 9766 particles .* take 1 GB .* 1 are there"):
-        check_memory(100, 2, SMCOptions(64, 9_766, 1), ("smc",))
+        check_memory(100, 2, SMCOptions(64, 9_766, 1), ("smc", "vsmc"))
+    check_memory(100, 2, SMCOptions(64, 5 * 9_765, 1), ("smc",))
+    with pytest.raises(InputError, match=r"--particles: .* take 1 GB .* 1 are there"):
+        check_memory(100, 2, SMCOptions(64, 5 * 9_766, 1), ("smc",))
     # 16 · 100 · 64 · 6 bytes are 614,400 a trajectory of each filter
     check_memory(100, 2, SMCOptions(64, 1, 1_627), ("smc",))
     with pytest.raises(InputError, match="--filters × --set draws"):
@@ -40,9 +46,9 @@ def test_only_methods_with_particles_count_them():
 
 
 def test_filters_come_a_task_at_a_time():
-    check_memory(100, 2, SMCOptions(1024, 9_000, 1), ("smc",))
+    check_memory(100, 2, SMCOptions(1024, 9_000, 1), ("vsmc",))
     with pytest.raises(InputError, match="--particles"):
-        check_memory(100, 2, SMCOptions(1024, 9_000, 1, filters_per_task=64), ("smc",))
+        check_memory(100, 2, SMCOptions(1024, 9_000, 1, filters_per_task=64), ("vsmc",))
 
 
 def test_this_machine_has_memory(monkeypatch):
