@@ -95,9 +95,10 @@ def measured(
     torque = {REGRESSION: regression.torque}
     if cause is not None:
         models[SEARCH] = _of_cause(nominal, cause)
+        file = nominal if passive else None
         first = _of_cause(model_on(there.fitted, body, passive), cause)
-        own = torque_missed(first, there.fitted, there.cutoff)
-        after = torque_missed(models[SEARCH], there.motion, there.cutoff)
+        own = torque_missed(first, there.fitted, there.cutoff, file)
+        after = torque_missed(models[SEARCH], there.motion, there.cutoff, file)
         torque[SEARCH] = closing(there.missing, after, (there.fitted_missing, own))
     errors = _replayed(models, there)
     replay = tuple(_closing(*each) for each in errors)
@@ -108,7 +109,7 @@ def measured(
 def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
     """The simulation with a cause's effects and the body's numbers as it has them."""
     known = [effect for effect in cause.effects if not effect.sensor and not isinstance(effect, Hidden)]
-    numbers = cause.model.with_effects().body_parameters()._asdict()
+    numbers = cause.model.body.completed(cause.model.mechanics.given)._asdict()  # effects on them come once
     own = {f"body.{name}": numbers[name] for name in ("mass", "com", "inertia") if name in numbers}
     filed = {n: v for n, v in cause.model.parameters.items() if n.startswith("body.") and n[5:] not in numbers}
     keys = tuple(f"{PREFIX}{effect.key}." for effect in known)

@@ -2,6 +2,7 @@
 
     e = (D(θ) + I_own) (θ̈ − θ̈_model(θ, θ̇, u))        N·m, rows of the motion, through the regression's low-pass filter
 
+Of a passive log D is the file's for every model: where no torque is known, a lighter arm would miss less of it.
 A replay starts at the smoothed angles and velocities and runs for `replay_horizons` seconds.
 
 Shapes: R rows, K joints, W windows. Units: rad, s, N·m.
@@ -93,15 +94,16 @@ def _links(model: ArmModel, found: Coefficients) -> dict[str, Tensor]:
     }
 
 
-def torque_missed(model: ArmModel, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
-    """E (R, K) of the top of the file."""
+def torque_missed(model: ArmModel, motion: MeasuredMotion, cutoff: float, file: ArmModel | None = None) -> np.ndarray:
+    """E (R, K) of the top of the file, with the inertia of ``file`` where it is given."""
     rows, body = torch.arange(len(motion.time)), model.body_parameters()
     still = np.zeros((len(motion.time), model.state_dim - 2 * motion.q.shape[1]))
     state = torch.as_tensor(np.concatenate([still, motion.q, motion.qd], -1))
     with torch.no_grad():
         missing = torch.as_tensor(motion.qdd) - model.acceleration(state, rows, body)
-        inertia = model.dynamics.inertia_matrix(torch.as_tensor(motion.q), body)
-        own = model.effects.inertia(model.parameters, motion.q.shape[1])
+        by = file or model
+        inertia = by.dynamics.inertia_matrix(torch.as_tensor(motion.q), by.body_parameters())
+        own = by.effects.inertia(by.parameters, motion.q.shape[1])
     inertia = inertia if own is None else inertia + torch.diag_embed(own)
     return low_passed((inertia @ missing.unsqueeze(-1))[..., 0].numpy(), motion, cutoff)
 

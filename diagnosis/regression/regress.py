@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from invdyn.diagnosis.catalogue.linear_laws import FRICTION, GAIN, INERTIAL
+from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import (
     Expected,
@@ -149,11 +150,14 @@ def regress(
     known, unseen, gains, best = found.known, found.unseen, found.gains, found.best
     fitted = [left_by(known, each.chosen) for each in found.fits]
     memory = float(correlation_times(fitted[best], first[0].stretch).max())
+    by_fit = [named(known, each.chosen, gains) for each in found.fits]
+    coefficients, left = by_fit[best], found.left
+    if passive:
+        left, fitted = ([_missed(each, body, rows, cutoff) for each in by_fit] for rows in (last[0], first[0]))
     torque, plain = (
-        closing(unseen.of_file, found.left[n], (known.of_file, fitted[n])) for n in (best, PLAIN.index(FRICTION))
+        closing(unseen.of_file, left[n], (known.of_file, fitted[n])) for n in (best, PLAIN.index(FRICTION))
     )
-    coefficients = named(known, found.fits[best].chosen, gains)
-    there = Unseen(last[0], coefficients, unseen.of_file, found.left[best], known.cutoff, first[0], known.of_file)
+    there = Unseen(last[0], coefficients, unseen.of_file, left[best], known.cutoff, first[0], known.of_file)
     whole = known
     if other is None:
         whole = _near(of(motion=motion, along=along, factor=gains.factor, gain=found.motors), gains)
@@ -172,6 +176,12 @@ def regress(
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
         tuple(of_others(whole, fit, gains)),
     )
+
+
+def _missed(found: Mapping, body: ArticulatedBody, motion: MeasuredMotion, cutoff: float) -> np.ndarray:
+    """(R, K) that an arm under no torque misses with what was found (:mod:`.as_model`)."""
+    file = model_on(motion, body, passive=True)
+    return torque_missed(with_coefficients(file, found), motion, cutoff, file)
 
 
 @dataclass(frozen=True)

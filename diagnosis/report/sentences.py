@@ -1,6 +1,6 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
-from invdyn.diagnosis.assessment.closing_measures import REGRESSION
+from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH
 from invdyn.diagnosis.assessment.result import (
     LEFT_OUT,
     NO_SEARCH,
@@ -135,7 +135,7 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
     closing, regression = diagnosis.closing, diagnosis.regression
     if closing is None or regression is None:
         return None
-    by_regression, cause = closing.shown == REGRESSION, at_work(diagnosis)
+    by_regression, cause = _by_regression(diagnosis), at_work(diagnosis)
     torque = closing.torque[closing.shown]
     searched = cause and answer in ("outside", "unclear") and torque.interval_90[0] > 0
     if torque.share <= 0 or not (by_regression or searched):
@@ -155,6 +155,23 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
         most = int(torque.after.argmax())
         rest = [rest[most]]
     return f"{text}; {named(rest)} {'are' if len(rest) > 1 else 'is'} left."
+
+
+def _by_regression(diagnosis: Diagnosis) -> bool:
+    """Whether the answer is the regression's: the search, if there was one, closes less."""
+    closing = diagnosis.closing
+    return closing is not None and closing.shown == REGRESSION and closing.torque[REGRESSION].share > 0
+
+
+def _search_behind(diagnosis: Diagnosis) -> str | None:
+    """What the search found instead of the regression's answer, and how much of the missing torque that explains."""
+    cause = at_work(diagnosis)
+    if diagnosis.closing is None or cause is None or SEARCH not in diagnosis.closing.torque:
+        return None
+    share = diagnosis.closing.torque[SEARCH].share
+    much = f"{percent(share)} of the missing torque" if share >= 0.005 else "none of the missing torque"
+    what = cause_words(cause) if len(cause.effects) < 4 else f"{len(cause.effects)} effects together"
+    return f"The search explains less, and is not the answer: its best, {what}, explains {much}."
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:
@@ -233,13 +250,15 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "not_enough_data":
         return []  # the reason has the remedy
     found = [f"{why}."] if (why := diagnosis.method.get(NO_SEARCH)) else []
+    behind = not why and _by_regression(diagnosis)  # then what the search found is not the answer
     if answer != "none":
-        found += [s for s in (where(diagnosis), depends(diagnosis), _closed(diagnosis), _each(diagnosis)) if s]
-        found += changes(diagnosis) + at_edges(diagnosis)
-    found += learned(diagnosis)
-    if answer != "none" and diagnosis.regression is not None and diagnosis.regression.stated:
+        own = (_search_behind(diagnosis),) if behind else (_closed(diagnosis), _each(diagnosis))
+        found += [s for s in (where(diagnosis), depends(diagnosis), *own) if s]
+    if not behind:
+        found += (changes(diagnosis) + at_edges(diagnosis)) * (answer != "none") + learned(diagnosis)
+    if answer != "none" and not behind and diagnosis.regression is not None and diagnosis.regression.stated:
         found.append(interim(diagnosis.regression))
-    if answer in ("outside", "none") and diagnosis.outside.description:
+    if answer in ("outside", "none") and not behind and diagnosis.outside.description:
         found.append(f"What is left over looks like {diagnosis.outside.description}.")
     elif answer not in ("outside", "none") and known(o := diagnosis.outside.probability) and o >= 0.05:
         found.append(f"With {percent(o)} probability the true cause is not in the catalogue.")

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import torch
 from regressed import BODY, friction, recorded
+from scipy.integrate import solve_ivp
 
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH, behind, measured
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.report.regression_sentences import interim, regression_words
+from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings import Recording
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +103,40 @@ def test_what_a_torque_does_not_tell_counts_as_absent(regression):
     seen = cause(regression, EFFECTS["encoder_offset"]("elbow"), **{"encoder_offset.elbow.offset": 0.1})
     closing = measured(regression, BODY, False, seen, False)
     assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
+
+
+@pytest.mark.long
+def test_an_error_of_a_link_counts_once(regression):
+    """The torque that a cause misses is that of a model with the same numbers."""
+    there, heavier = regression.unseen, EFFECTS["inertial_error"]("fore")
+    wrong = cause(regression, heavier, **{"inertial_error.fore.mass": 0.4})
+    closing = measured(regression, BODY, False, wrong, False)
+    once = np.sqrt((torque_missed(wrong.model, there.motion, there.cutoff) ** 2).mean(0))
+    assert closing.torque[SEARCH].after == pytest.approx(once, rel=1e-9)
+
+
+def test_under_no_torque_a_lighter_arm_explains_nothing():
+    """A free swing of an arm whose upper link is heavier than its file says: only ratios of masses tell."""
+    links = (replace(BODY.links[0], mass=1.8 * BODY.links[0].mass), BODY.links[1])
+    real = replace(BODY, links=links)
+    dynamics, p = dynamics_for(real), real.parameters()
+    still = torch.zeros(2, dtype=torch.float64)
+
+    def rate(_, x):
+        q, qd = (torch.as_tensor(each) for each in (x[:2], x[2:]))
+        return np.concatenate([x[2:], dynamics.forward(q, qd, still, p).numpy()])
+
+    time = np.arange(0, 3, 0.01)
+    path = solve_ivp(rate, (0, 3), [0.2, 0.9, 0, 0], t_eval=time, rtol=1e-8, atol=1e-10).y.T
+    seen = path[:, :2] + 1e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    free = Recording(time, np.empty((len(time), 0, 2)), (), angles=seen, joint_names=BODY.joint_names)
+    found = regress(free, BODY, passive=True)
+    model = model_on(found.unseen.motion, BODY, True)
+    light = {f"body.{name}": 0.1 * model.parameters[f"body.{name}"] for name in ("mass", "inertia")}
+    closing = measured(found, BODY, True, SimpleNamespace(effects=(), model=model.replace(**light)))
+    assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
+    assert closing.torque[REGRESSION].share > 0.5
+    assert closing.shown == REGRESSION
 
 
 @pytest.mark.long

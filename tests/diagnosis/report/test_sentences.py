@@ -18,7 +18,11 @@ from reported import (
     two,
 )
 
+from invdyn.diagnosis.assessment.closing_measures import Closing
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding, Part, Shrinkage, Written
+from invdyn.diagnosis.regression.regress import Regression
+from invdyn.diagnosis.regression.stated_numbers import Stated
+from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report import render, words
 from invdyn.diagnosis.report.file_sentences import written
 from invdyn.diagnosis.report.numbers import handy, percent
@@ -79,6 +83,29 @@ def test_where_something_is_left_what_explains_most_comes_first():
     )
     little = replace(d, shrinkage=replace(shrinkage, gap_closed=0.2))
     assert "; a part of it is viscous friction" in verdict(little)
+
+
+def test_under_a_regressions_verdict_nothing_of_the_search_is_told_as_the_answer():
+    """Of the search, what it found and how little that explains: not its numbers, its rest, or its share."""
+    before, after, joints = np.array([0.5, 0.2]), np.array([0.2, 0.1]), ("shoulder", "elbow")
+    torque = TorqueClosing(before, after, 0.58, (0.3, 0.7))
+    dry = Stated("coulomb_friction", joints, True, 90.0, dict.fromkeys(joints, 1.0))
+    regression = Regression(joints, (dry,), (), torque, torque, 900, {}, None, (), {}, ())
+    less = {"regression": torque, "search": TorqueClosing(before, before, 0.001, (-0.1, 0.1))}
+    d = replace(outside(), causes=(replace(friction(probability=0.0), in_part=1.0),), regression=regression)
+    d = replace(d, closing=Closing(joints, less, (), "regression"), outside=replace(d.outside, description="u"))
+    assert plainly(verdict(d)) == (
+        "There is a gap at the shoulder: Coulomb friction at all joints explains 58 % of the missing torque (30 % to "
+        "70 % of another motion's); 0.20 N·m at the shoulder and 0.10 N·m at the elbow are left."
+    )
+    told = [plainly(s) for s in details(d)]
+    instead = "The search explains less, and is not the answer: its best, viscous friction at the shoulder, explains "
+    assert f"{instead}none of the missing torque." in told
+    assert not any(s.startswith(("The share closed", "By regression", "What is left over", "Of viscous")) for s in told)
+    shown = [plainly(s) for s in details(replace(d, closing=replace(d.closing, shown="search")))]
+    assert not any(s.startswith(instead) for s in shown)
+    assert any(s.startswith("By regression alone: ") for s in shown)
+    assert any(s.startswith("What is left over") for s in shown)
 
 
 def test_what_is_the_same_after_as_before_stays():
