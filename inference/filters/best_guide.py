@@ -199,9 +199,8 @@ def guides_agree(model: StateSpaceModel, observations: Tensor, options: SMCOptio
     """Whether filters that look ahead, of evidence ``ahead``, agree, and no bootstrap pilot of ``seed`` is higher."""
     if not ahead.standing:
         return False
-    with seeded(derived(seed, BLIND), options.device):
-        pilot, _ = _blind(model, observations, options, keep=0)
-    return pilot is None or not exceeds(pilot.found, ahead)
+    blind = _blind_opinion(model, observations, options, seed)
+    return blind is None or not exceeds(blind, ahead)
 
 
 def has_own_start(model: StateSpaceModel) -> bool:
@@ -220,8 +219,10 @@ def second_opinion(
 
     None where the pilot collapses, and where a ``start`` or one of the model's own is near the posterior.
     """
-    if start is not None or has_own_start(model):
-        return None
+    return None if start is not None or has_own_start(model) else _blind_opinion(model, observations, options, seed)
+
+
+def _blind_opinion(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int) -> Evidence | None:
     with seeded(derived(seed, BLIND), options.device):
         pilot, _ = _blind(model, observations, options, keep=0)
     return None if pilot is None else pilot.found

@@ -4,10 +4,9 @@ Biderman et al. (2020) with three changes: the guide looks ahead (:mod:`.control
 (:mod:`.best_guide`), what is reported is the smoothed posterior (:mod:`.backward_simulation`), not the filter, and
 whether its evidence may be used (:mod:`.second_opinion`): attributes "usable", "doubt" and "guide" of sample_stats.
 
-Filters of many states may differ by nats for any number of particles that a run may have. Their evidence then says
-nothing, and neither do bands of the few that carry the weight. The Gaussian of the linearised model has no such error:
-on demand it is the answer there, if its passes settled and filters are not so much higher that it must be further from
-the posterior than by a standard deviation in each number. Where kinks bend the dynamics they are some nats higher.
+Filters of many states may differ by nats for any number of particles that a run may have: the few that carry the weight
+make no bands. On demand the Gaussian of the linearised model is the answer there, if its passes settled and its log
+evidence is not below theirs by more than half a nat a number, as it is in another mode (:func:`.bound_doubt`).
 """
 
 from concurrent.futures import Executor

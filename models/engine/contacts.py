@@ -97,8 +97,7 @@ def _with_sensors(model: EngineModel, pairs: tuple[tuple[int, int], ...]) -> tup
     if model.scene.spec is None:
         raise BodyError("expected a model that was read here, got one from another process: make it again")
     spec = model.scene.spec.copy()
-    own = [geom.name for geom in spec.geoms]
-    names = [own[g] for g in range(len(own))]
+    names = [geom.name for geom in spec.geoms]
     kinds = 2 ** int(mujoco.mjtConDataField.mjCONDATA_FORCE) | 2 ** int(mujoco.mjtConDataField.mjCONDATA_POS)
     for number, (one, other) in enumerate(pairs):
         spec.add_sensor(

@@ -10,14 +10,10 @@ were. Velocities are slopes of a smoothed path (A. Savitzky & M. J. E. Golay, An
 Shapes: rows (T, O), δ (nv,), paths (T, D).
 """
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
-import torch
-from pyro.distributions import Distribution
 from scipy.signal import savgol_filter
-from torch import Tensor
 
 TIE = 10.0
 """s, rad or m: how far a configuration may be from that of the row before; next to nothing against what is seen."""
@@ -27,87 +23,52 @@ STARTS = 12
 WINDOW, ORDER = 9, 3  # rows and order of the Savitzky–Golay filter of velocities
 
 
-class Posed(Protocol):
-    """What is needed of a model: sizes of its state (z, δ, v, a), and what its sensors show of one."""
-
-    nv: int
-    na: int
-    torque_size: int
-    state_dim: int
-    observation_dim: int
-
-    @property
-    def parameters(self) -> Mapping[str, Tensor]:
-        """By dotted name."""
-
-    @property
-    def time(self) -> Tensor:
-        """(T,) s."""
-
-    def emission(self, state: Tensor, t: int | Tensor) -> Distribution:
-        """Distribution of a row, whose location and scale are known."""
+Means = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of δ (…, nv) what sensors show, and their noise, (…, O) each."""
 
 
-def poses(model: Posed, rows: np.ndarray) -> np.ndarray:
-    """A path (T, D) with no drive, middle activations, and the configurations and velocities that ``rows`` show."""
-    nv, z = model.nv, model.torque_size
+def poses(means: Means, rows: np.ndarray, time: np.ndarray, nv: int) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations δ and velocities, (T, nv) each, that ``rows`` (T, O) show at ``time`` (T,) s."""
     tangent = np.zeros((len(rows), nv))
     first = int(np.argmax(np.isfinite(rows).any(1)))
-    here = _first(model, rows[first])
+    here = _first(means, rows[first], nv)
     for t in range(first, len(rows)):
         if np.isfinite(rows[t]).any():
-            here = _solved(model, rows[t], here[None], ROUNDS)[0][0]
+            here = _solved(means, rows[t], here[None], ROUNDS)[0][0]
         tangent[t] = here
     tangent[:first] = tangent[first]
     window = min(WINDOW, len(rows) - (len(rows) + 1) % 2)
-    path = np.zeros((len(rows), model.state_dim))
-    time = model.time.numpy()
     if window > ORDER:
         tangent = savgol_filter(tangent, window, ORDER, axis=0)
-    path[:, z : z + nv] = tangent
-    path[:, z + nv : z + 2 * nv] = np.gradient(tangent, time, axis=0)
-    if model.na:
-        path[:, z + 2 * nv :] = model.parameters["initial.activation"].detach().reshape(-1, model.na)[0].numpy()
-    return path
+    return tangent, np.asarray(np.gradient(tangent, time, axis=0))
 
 
-def _first(model: Posed, row: np.ndarray) -> np.ndarray:
+def _first(means: Means, row: np.ndarray, nv: int) -> np.ndarray:
     """The best of several starts: the reference, and others around it."""
-    rng = np.random.default_rng(0)
-    starts = rng.uniform(-1.0, 1.0, (STARTS, model.nv))
+    starts = np.random.default_rng(0).uniform(-1.0, 1.0, (STARTS, nv))
     starts[0] = 0
-    found, merit = _solved(model, row, starts, FIRST_ROUNDS)
+    found, merit = _solved(means, row, starts, FIRST_ROUNDS)
     near = merit <= merit.min() + 1.0
     return found[np.flatnonzero(near)[0]]  # of equals that which is nearest to the file's own pose
 
 
-def _solved(model: Posed, row: np.ndarray, start: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
+def _solved(means: Means, row: np.ndarray, start: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     """From several starts (B, nv): where the search ends, and the merits (B,)."""
-    nv, size = model.nv, model.observation_dim
-    seen = np.isfinite(row)
+    eye, seen = np.eye(start.shape[-1]), np.isfinite(row)
     here, damping = start.copy(), np.full(len(start), 1e-3)
-
-    def means(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        state = np.zeros((*tangent.shape[:-1], model.state_dim))
-        state[..., model.torque_size : model.torque_size + nv] = tangent
-        emission = model.emission(torch.as_tensor(state), 0)
-        base = getattr(emission, "base_dist", emission)
-        return base.loc.numpy()[..., seen], np.broadcast_to(base.scale.numpy(), (*state.shape[:-1], size))[..., seen]
 
     def misfit(tangent: np.ndarray) -> np.ndarray:
         mean, sd = means(tangent)
-        return (row[seen] - mean) / sd
+        return ((row - mean) / sd)[..., seen]
 
     off = misfit(here)
     merit = (off**2).sum(-1)
     for _ in range(rounds):
-        nudged = here[:, None] + NUDGE * np.eye(nv)
+        nudged = here[:, None] + NUDGE * eye
         slope = (misfit(nudged) - off[:, None]) / NUDGE  # (B, nv, o)
-        normal = slope @ slope.swapaxes(-1, -2) + np.eye(nv) / TIE**2
-        diagonal = np.diagonal(normal, axis1=-2, axis2=-1)
-        step = -np.linalg.solve(
-            normal + damping[:, None, None] * np.eye(nv) * diagonal[:, None], (slope @ off[..., None])
-        )[..., 0]
+        normal = slope @ slope.swapaxes(-1, -2) + eye / TIE**2
+        normal += damping[:, None, None] * eye * np.diagonal(normal, axis1=-2, axis2=-1)[:, None]
+        step = -np.linalg.solve(normal, slope @ off[..., None])[..., 0]
         step *= np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(-1, keepdims=True), 1e-12))
         tried = misfit(here + step)
         reached = (tried**2).sum(-1)

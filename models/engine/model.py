@@ -248,9 +248,7 @@ class EngineModel(StateSpaceModel):
 
     def moved(self, state: Tensor, t: int | Tensor) -> Tensor:
         """Mean (..., D) of the states into row ``t``, those of the drive excepted, which are zero."""
-        if state.requires_grad and torch.is_grad_enabled():
-            self._refuse_slopes()
-        flat = state.detach().cpu().double().reshape(-1, self.state_dim).contiguous().numpy()
+        flat = self._flat(state)
         rows = np.broadcast_to(np.asarray(t), state.shape[:-1]).reshape(-1).copy()
         faded = self._faded(flat, rows)
         key = blake2b(b"".join(each.tobytes() for each in (flat, rows, faded)), digest_size=20).digest()
@@ -267,26 +265,24 @@ class EngineModel(StateSpaceModel):
             own = flat[here]
             controls = self._within(own, faded[here], rows[here], count)
             ends, _ = self.simulator.run(self.physics(own), controls, length)
-            out[here, self.torque_size :] = self._charted(ends)
+            qpos, others = np.split(ends, [self.scene.chart.num_qpos], -1)
+            tangent = self.scene.chart.tangent(self.scene.reference, qpos)
+            out[here, self.torque_size :] = np.concatenate([tangent, others], -1)
         return out
-
-    def _charted(self, physics: np.ndarray) -> np.ndarray:
-        nq = self.scene.chart.num_qpos
-        tangent = self.scene.chart.tangent(self.scene.reference, physics[..., :nq])
-        return np.concatenate([tangent, physics[..., nq:]], -1)
 
     def sensed(self, state: Tensor) -> Tensor:
         """MuJoCo's sensor data (..., N) in states (..., D)."""
-        if state.requires_grad and torch.is_grad_enabled():
-            self._refuse_slopes()
-        flat = state.detach().cpu().double().reshape(-1, self.state_dim).numpy()
+        flat = self._flat(state)
         controls = self.inputs.fields(flat[:, None, : self.inputs.size])
         _, sensors = self._watched.run(self.physics(flat), controls, 1e-6)
         sensors = np.where(np.isfinite(flat).all(-1, keepdims=True), sensors[:, 0], np.nan)
         return torch.from_numpy(sensors).reshape(*state.shape[:-1], -1).to(state)
 
-    def _refuse_slopes(self) -> NoReturn:
-        raise BodyError("MuJoCo's step has no derivative here: use smc, laplace, bootstrap or particle-gibbs")
+    def _flat(self, state: Tensor) -> np.ndarray:
+        """States as (B, D) in float64; raises BodyError where their slopes are wanted."""
+        if state.requires_grad and torch.is_grad_enabled():
+            raise BodyError("MuJoCo's step has no derivative here: use smc, laplace, bootstrap or particle-gibbs")
+        return state.detach().cpu().double().reshape(-1, self.state_dim).contiguous().numpy()
 
     # -- the three distributions -----------------------------------------------------------------
     def initial(self) -> Distribution:
@@ -294,13 +290,9 @@ class EngineModel(StateSpaceModel):
         p = self.parameters
         dt = self.timeline.dt[0].to(self.dtype).reshape(1)
         root = self.torque.stationary(dt, p)
-        middle = [p["initial.angle"], p["initial.velocity"]]
-        sds = [p["initial.angle_scale"], p["initial.velocity_scale"]]
-        if self.na:
-            middle.append(p["initial.activation"])
-            sds.append(p["initial.activation_scale"])
-        mean = join(root.new_zeros(self.torque_size), *middle)
-        sd = join(*sds)
+        kinds = ("angle", "velocity", "activation")[: 2 + bool(self.na)]
+        mean = join(root.new_zeros(self.torque_size), *(p[f"initial.{kind}"] for kind in kinds))
+        sd = join(*(p[f"initial.{kind}_scale"] for kind in kinds))
         lead = common(mean.shape[:-1], sd.shape[:-1], root.shape[: -1 if self.torque.diagonal else -2])
         return gaussian(mean.expand(*lead, -1), root, sd, self.torque.diagonal)
 
@@ -357,7 +349,21 @@ class EngineModel(StateSpaceModel):
     # -- starts ----------------------------------------------------------------------------------
     def initial_paths(self, observations: Tensor) -> Tensor:
         """One path (1, T, D) through the rows' own configurations (:mod:`.inverse_kinematics`), without a drive."""
-        return torch.as_tensor(poses(self, observations.detach().cpu().double().numpy()))[None]
+
+        def means(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            state = torch.zeros(*tangent.shape[:-1], self.state_dim, dtype=torch.float64)
+            state[..., self.torque_size : self.torque_size + self.nv] = torch.as_tensor(tangent)
+            emission = self.emission(state, 0)
+            base = getattr(emission, "base_dist", emission)
+            return base.loc.numpy(), np.broadcast_to(base.scale.numpy(), base.loc.shape)
+
+        rows = observations.detach().cpu().double().numpy()
+        physics = np.concatenate(poses(means, rows, self.time.numpy(), self.nv), -1)
+        path = torch.zeros(1, len(rows), self.state_dim, dtype=torch.float64)
+        path[..., self.torque_size :][..., : 2 * self.nv] = torch.as_tensor(physics)
+        if self.na:
+            path[..., -self.na :] = self.parameters["initial.activation"].detach().reshape(-1, self.na)[0]
+        return path
 
     def relaxed(self, amount: float) -> Self:
         """The model with more process noise in configuration and velocity, from 1 to 0."""

@@ -81,7 +81,8 @@ class Scene(ArticulatedBody):
         with kept_warnings(mujoco) as said:
             try:
                 spec = source if isinstance(source, mujoco.MjSpec) else _read(mujoco, source, where)
-                _check_memory(spec, where)
+                if spec.plugins:
+                    raise BodyError(f"{where}: plugins have states that cannot be inferred: remove them from the file")
                 for number, geom in enumerate(spec.geoms):
                     geom.name = geom.name or f"geom{number}"
                 for number, site in enumerate(spec.sites):
@@ -184,11 +185,6 @@ def _read(mujoco: Any, source: "str | Path", where: str) -> Any:
     for words, names in left_out.items():
         raise BodyError(f"{where}: {words} ({', '.join(names)}) are no part of a state: remove them from the file")
     return mujoco.MjSpec.from_string(text, assets=meshes)
-
-
-def _check_memory(spec: Any, where: str) -> None:
-    if spec.plugins:
-        raise BodyError(f"{where}: plugins have states that cannot be inferred: remove them from the file")
 
 
 def _check(mujoco: Any, model: Any, where: str) -> None:
