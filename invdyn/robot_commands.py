@@ -78,6 +78,9 @@ def check_text(found: "Check") -> str:
             lines.append(f"nearest    {found.nearest.sentence}")
     elif not lines:
         lines = ["right      nothing looks wrong" + (" in what could be looked at" if found.not_looked_at else "")]
+        most = found.rules.check.max_right_misfit
+        if odd := [joint for joint, share in found.by_joint.items() if share > most]:
+            lines[0] += f", and yet {100 * most:.0f} % or more of the torques is not explained at {', '.join(odd)}"
     if found.not_looked_at is not None:
         lines.append(f"not seen   {found.not_looked_at}")
     if found.unexplained is not None:

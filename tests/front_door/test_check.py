@@ -11,8 +11,10 @@ from servo_log import SERVO_ARM, write_mapping, write_servo_log
 from typer.testing import CliRunner
 
 from invdyn.cli import app
+from invdyn.diagnosis.check.check import Check
 from invdyn.models import Body, dynamics_for, load_body
 from invdyn.recordings import write_keypoint_csv
+from invdyn.robot_commands import check_text
 
 
 @pytest.fixture
@@ -199,3 +201,12 @@ def test_a_slide_in_millimetres_is_found(cart):
 def test_units_are_of_the_joints_kind(cart):
     assert "joints.rail.angle: the joint shifts: expected a unit of m, cm, mm" in cart("deg").output
     assert "joints.hinge.angle: the joint turns: expected a unit of rad, deg" in cart("mm", "cm").output
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.39, False), (0.41, True)])
+def test_a_joint_whose_torques_are_not_explained_is_named_first(share, said):
+    """Two zeros that are off together, as of a robot's table of another convention, have no single remedy."""
+    found = Check("log", (), 0.2, {"base": 0.1, "lift": share}, (), None)
+    first = check_text(found).splitlines()[0]
+    assert first.startswith("right      nothing looks wrong")
+    assert ("and yet 40 % or more of the torques is not explained at lift" in first) == said
