@@ -10,3 +10,5 @@ from .problem.diagnosis_problem import DiagnosisProblem as DiagnosisProblem
 from .problem.diagnosis_problem import diagnosis_problem as diagnosis_problem
 from .report.save import save as save
 from .rules import Rules as Rules
+from .write_back.residual_torque import ResidualTorque as ResidualTorque
+from .write_back.residual_torque import residual_torque as residual_torque

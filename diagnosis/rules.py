@@ -274,9 +274,8 @@ class CheckRules:
     max_damping_share: float = number(
         0.5, "1", "of a joint's torque, that damping besides the file's takes once a delay is put right", "chosen"
     )
-    delay_grid: tuple[int, ...] = number(
-        (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 90), "rows", "delays that are tried, both ways", "effort"
-    )
+    delay_growth: float = number(1.2, "1", "from one delay that is tried to the next", "effort")
+    max_shift: float = number(0.2, "of the log", "by which its commands may come late or early", "chosen")
     gear_tolerance: float = number(0.05, "1", "gears closer than that are the same", "chosen")
     max_gear: float = number(300.0, "1", "of a robot, of which the largest have 160", "stated")
     max_tilt: float = number(0.45, "rad", "of gravity: three sds of its prior", "stated")
@@ -501,6 +500,14 @@ class Fixed:
     start_gains: tuple[float, ...] = number(
         (1.0, 0.3, 0.1, 0.03, 0.01), "1", "times a file's gain, that a fit may start from", "chosen"
     )
+    residual_points: int = number(120, "rows", "at which a residual torque is known", "effort")
+    residual_lengths: tuple[float, ...] = number(
+        (0.2, 0.6, 2.0, math.inf), "sds", "of a variable, in which a residual torque changes", "chosen"
+    )
+    residual_ratios: tuple[float, ...] = number(
+        (0.01, 0.1, 1.0, 10.0), "1", "of its variance to that of what is left", "chosen"
+    )
+    min_residual_closed: float = number(0.02, "1", "of the missing torque, for a joint to have one", "chosen")
     refine_draws: int = number(50, "draws", "of the fit's numbers at least", "effort")
     friction_sd: float = number(1.5, "log", "of a friction's number, about the regression's", "stated")
     armature_sd: float = number(1.0, "log", "of an armature, about the regression's", "stated")

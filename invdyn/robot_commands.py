@@ -81,6 +81,8 @@ def check_text(found: "Check") -> str:
         most = found.rules.check.max_right_misfit
         if odd := [joint for joint, share in found.by_joint.items() if share > most]:
             lines[0] += f", and yet {100 * most:.0f} % or more of the torques is not explained at {', '.join(odd)}"
+    if found.doubt is not None:
+        lines.append(f"doubt      {found.doubt}")
     if found.not_looked_at is not None:
         lines.append(f"not seen   {found.not_looked_at}")
     if found.unexplained is not None:

@@ -70,6 +70,8 @@ def check_before(
             "`invdyn check` says more",
             stacklevel=2,
         )
+    if checked.doubt is not None:
+        warnings.warn(f"{given.name}: {checked.doubt}", stacklevel=2)
     return tuple(refused)
 
 

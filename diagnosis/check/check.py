@@ -8,6 +8,7 @@ put right before the next is looked for. Base parameters (:mod:`.excitation`) an
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from invdyn.diagnosis.check.mistakes import Found, Mistake, find, known, left_by
 from invdyn.diagnosis.check.rows import wrong_rows
 from invdyn.diagnosis.check.torque_fit import Explained, TorqueFit
 from invdyn.diagnosis.check.torque_regression import Motion, as_large
-from invdyn.diagnosis.check.units import idle, motions, wrong_units
+from invdyn.diagnosis.check.units import doubted_degrees, idle, motions, wrong_units
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
@@ -77,6 +78,7 @@ class Check:
         excited: base parameters, best known first.
         visible: effects; None where the log must be put right first, or where they are not wanted.
         not_looked_at: what only torques along a motion show, and why this log does not; None where it was tested.
+        doubt: what may be wrong, and cannot be told; None of nothing.
         nearest: what explains most, and yet leaves more of a joint's torques than a right log does; None of nothing.
     """
 
@@ -88,6 +90,7 @@ class Check:
     visible: "Visible | None"
     not_looked_at: str | None = None
     nearest: Wrong | None = None
+    doubt: str | None = None
     rules: Rules = DEFAULT
 
     @property
@@ -117,6 +120,7 @@ class Check:
                 for wrong in self.mistakes
             ],
             "nearest": None if self.nearest is None or not self.unclear else self.nearest.sentence,
+            "doubt": self.doubt,
             "not_looked_at": self.not_looked_at,
             "torque_unexplained": self.unexplained,
             "torque_unexplained_by_joint": self.by_joint,
@@ -154,13 +158,19 @@ def check(
     encoders = recording.angles is not None
     fit = TorqueFit(dynamics_for(body), body)
     unclear = any(each.kind == "percent" for each in units_wrong)  # no angle is known, as no range is
-    motion = None if passive or unclear else _motion(reading, fit, rules)
+    every = [] if passive or unclear else motions(reading, body, rules)
+    motion = _motion(every, reading, fit, rules) if every else None
     if motion is not None:
         found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
-        if not found and (late := late_commands(fit, motion, *_commands(recording, body), rules)) is not None:
+        late = late_commands(fit, motion, every, *_commands(recording, body), rules)
+        if late is not None and found:  # a delay has a number: it must leave less than a sign or an exchange
+            righted = reduce(lambda own, each: each.mistake.right(own) or own, found, motion)
+            least = fit.explain(righted).misfit / rules.check.equal_misfit
+            late = late if fit.explain(late.right).misfit < least else None
+        if late is not None:
             joints = tuple(body.joint_names[k] for k in late.joints)
             mistakes.append(Wrong(late.kind, joints, late.words, late.remedy, late.value, late.before, late.after))
-            motion = motion.recommanded(late.commands)
+            motion = late.right
             found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
         for each in found:
             mistakes.append(_in_words(each.mistake, body.joint_names, each))
@@ -186,6 +196,7 @@ def check(
         shown,
         f"{BY_TORQUES}: {_unmoved(recording, body, passive, unclear)}" if motion is None else None,
         nearest,
+        None if left is None or mistakes else doubted_degrees(reading, body, left.misfit, rules),
         rules,
     )
 
@@ -215,12 +226,9 @@ def _commands(recording: Recording, body: ArticulatedBody) -> tuple[np.ndarray, 
     return recording.time, recording.torques[:, [recording.joint_names.index(name) for name in body.joint_names]]
 
 
-def _motion(reading: Reading, fit: TorqueFit, rules: Rules) -> Motion | None:
-    """Motion and torques under the window in which they explain most, right or wrong; None of neither."""
+def _motion(every: Sequence[Motion], reading: Reading, fit: TorqueFit, rules: Rules) -> Motion:
+    """Motion and torques under that window, of ``every`` one, in which they explain most, right or wrong."""
     body = fit.body
-    every = motions(reading, body, rules)
-    if not every:
-        return None
     encoders = reading.recording.angles is not None
     few = [each.thinned(rules.check.scan_rows) for each in every]
     plain = [fit.explain(each).misfit for each in few]

@@ -4,8 +4,9 @@
     u(t − d₀ − r (t − t₀))         r ≠ 0: clocks that drift
     u linear between its changes   a target that was logged more rarely than the servo got it
 
-Angles stay as they are, so that each is one solution of the equations that :mod:`.torque_fit` keeps. A delay
-that a motor may have is an effect, and left to the diagnosis.
+Angles stay as they are, and delays are compared in rows that have commands under all of them, so that each is one
+solution of the equations that :mod:`.torque_fit` keeps. Rows whose command is not in the log are then left out.
+A delay that a motor may have is an effect, and left to the diagnosis.
 
 Shapes: T rows, R rows of a motion, K joints.
 """
@@ -27,7 +28,8 @@ class LateCommands:
     """What is wrong with the commands' times: `kind` "delay", "drift" or "rare"; the joints, none for all; a number.
 
     `value` is the delay, s; the rate, 1; or the rows between two targets. `before` and `after` are what the joints'
-    torques miss of what the motion asks of them. `commands` (T, K) are as they should be.
+    torques miss of what the motion asks of them. `right` is the motion under the commands as they should be, in the
+    rows that have them.
     """
 
     kind: str
@@ -37,40 +39,45 @@ class LateCommands:
     value: float
     before: float
     after: float
-    commands: np.ndarray
+    right: Motion
 
 
 def late_commands(
-    fit: TorqueFit, motion: Motion, time: np.ndarray, commands: np.ndarray, rules: Rules
+    fit: TorqueFit, motion: Motion, every: Sequence[Motion], time: np.ndarray, commands: np.ndarray, rules: Rules
 ) -> LateCommands | None:
-    """What the torques of a ``motion`` say of the times of its ``commands`` (T, K); None of nothing wrong."""
+    """What the torques of a ``motion`` say of the times of its ``commands`` (T, K); None of nothing wrong.
+
+    ``every`` has it under each window: that under which wrong commands fit best is seldom the one for right ones.
+    """
     limits, own = rules.check, fit.explain(motion)
     if not own.misfit > limits.min_misfit:
         return None
     step, joints = float(np.median(np.diff(time))), motion.q.shape[1]
 
-    def tried(delay: float, group: tuple[int, ...]) -> float:
-        return fit.explain(motion.recommanded(shifted(time, commands, delay, group)).thinned(limits.scan_rows)).misfit
+    def tried(delay: float, group: tuple[int, ...], of: Motion = motion, ends: float = limits.max_shift) -> float:
+        made = _inner(of.recommanded(_held(shifted(time, commands, delay, group))), ends)
+        return fit.explain(made.thinned(limits.scan_rows)).misfit
 
     # a servo's torque is sharp in time: all rows are tried of all joints, few of one
-    few = _both_ways(limits.delay_grid, step, time)
+    few = _both_ways(limits.delay_growth, step, time, limits.max_shift)
     sharp = motion.terms is not None and any(motion.terms.by_target)
-    every = _both_ways(range(1, limits.delay_grid[-1] + 1), step, time) if sharp else few
+    delays = _both_ways(1.0, step, time, limits.max_shift) if sharp else few
     missing = [(k,) for k in range(joints) if joints > 1 and own.by_joint[k] > limits.max_joint_misfit]
     groups: list[tuple[int, ...]] = [(), *missing]
     best: tuple[float, tuple[int, ...], float] = (math.inf, (), 0.0)
     for group in groups:
-        for delay in few if group else every:
+        for delay in few if group else delays:
             left = tried(delay, group)
             if left < best[0] / (limits.equal_misfit if group else 1.0):
                 best = left, group, float(delay)
     found = []
     if best[2] > limits.max_delay or best[2] < -limits.max_lead * step:
-        width = max(1, round(0.25 * abs(best[2]) / step))
-        delay = best[2]
-        for rows in (width, max(1, width // 4)):
+        width, delay = max(1, round(0.25 * abs(best[2]) / step)), best[2]
+        ends = (abs(delay) + width * step) / (time[-1] - time[0])  # no more, so that most rows tell its size
+        window = min(every, key=lambda each: tried(delay, best[1], each, ends))
+        for rows in (width, max(1, width // 4), max(1, width // 16)):
             near = delay + step * np.unique(np.linspace(-rows, rows, 9).round())
-            delay = min(near.tolist(), key=lambda d: tried(d, best[1]))
+            delay = min(near.tolist(), key=lambda d: tried(d, best[1], window, ends))
         words = (
             f"the commands come {abs(delay):.3g} s too {'early' if delay > 0 else 'late'} for the angles: two clocks"
         )
@@ -86,35 +93,56 @@ def late_commands(
         found.append(("rare", (), words, "log them at the rate of the controller", float(rare[0]), rare[1]))
     worth = []
     for kind, group, words, turn, value, given in found:
-        righted = fit.explain(motion.recommanded(given))
+        motions = [(each, each.recommanded(given)) for each in every]
+        righted, wrong, right = min(
+            ((fit.explain(new), old, new) for old, new in motions), key=lambda each: each[0].misfit
+        )
         if righted.misfit > min(limits.max_remaining * own.misfit, limits.max_right_misfit):
             continue
         if (after := righted.missed(group)) > limits.max_joint_misfit:
             continue
-        # a servo's target that leads more asks for more damping, whatever the reason
-        taken = fit.by_damping(motion, righted.values)
-        if share(taken, righted.required, group) > limits.max_damping_share:
+        # a servo's target that leads more asks for more damping, whatever the reason: so of a log that may be right
+        taken = fit.by_damping(right, righted.values)
+        if own.misfit <= limits.max_right_misfit and share(taken, righted.required, group) > limits.max_damping_share:
             continue
-        before = share(fit.left_by_values(motion, righted.values), righted.required, group)
-        worth.append(LateCommands(kind, group, words, turn, value, before, after, given))
+        before = share(fit.left_by_values(wrong, righted.values), righted.required, group)
+        worth.append(LateCommands(kind, group, words, turn, value, before, after, right))
     # in what is required of the joints: a weak one, whose torque no remedy explains, has its own unit in the misfit
     most = limits.equal_misfit * min((late.after for late in worth), default=0.0)
     # a delay has one number, and a drift two
     return next((late for late in worth if late.after <= most), None)
 
 
-def _both_ways(rows: Sequence[int], step: float, time: np.ndarray) -> np.ndarray:
-    """Delays, s, of so many rows and less than none, within a fifth of the log."""
-    grid = np.array([way * each for way in (1, -1) for each in rows]) * step
-    return grid[np.abs(grid) < 0.2 * (time[-1] - time[0])]
+def _both_ways(growth: float, step: float, time: np.ndarray, share: float) -> np.ndarray:
+    """Delays, s, within a ``share`` of the log, later and earlier, each so many times the one before, or a row more."""
+    rows, most = [1], share * (time[-1] - time[0]) / step
+    while (further := max(rows[-1] + 1, round(growth * rows[-1]))) < most:
+        rows.append(further)
+    return np.concatenate([rows, [-each for each in rows]]) * step
+
+
+def _inner(motion: Motion, share: float) -> Motion:
+    """A motion without that share of its rows at each end."""
+    ends = int(share * len(motion.q))
+    return motion.at(slice(ends, len(motion.q) - ends))
+
+
+def _held(commands: np.ndarray) -> np.ndarray:
+    """Commands (T, K) with the first and last known ones before and after these."""
+    known = np.flatnonzero(np.isfinite(commands).all(1))
+    return commands[np.arange(len(commands)).clip(known[0], known[-1])] if len(known) else np.zeros_like(commands)
 
 
 def shifted(
     time: np.ndarray, commands: np.ndarray, delay: float | np.ndarray, joints: tuple[int, ...] = ()
 ) -> np.ndarray:
-    """Commands (T, K), each constant until the next, a ``delay`` s later, one or (T,); of some joints, all if none."""
+    """Commands (T, K), each constant until the next, a ``delay`` s later, one or (T,); of some joints, all if none.
+
+    NaN where the log has none.
+    """
     at = np.searchsorted(time, time - delay + 1e-9, side="right") - 1
-    moved = commands[at.clip(0, len(time) - 1)]
+    there = (at >= 0) & (time - delay <= time[-1] + 1e-9)
+    moved = np.where(there[:, None], commands[at.clip(0, len(time) - 1)], np.nan)
     if not joints:
         return moved
     made = np.array(commands)
@@ -136,12 +164,12 @@ def _drift(
 ) -> tuple[float, np.ndarray] | None:
     """The rate by which commands come late, and commands put right, from the delays of thirds of the log."""
     limits = rules.check
-    grid = np.append(_both_ways(limits.delay_grid, step, time), 0.0)
+    grid = np.append(_both_ways(limits.delay_growth, step, time, limits.max_shift), 0.0)
     delays, middles = [], []
     for third in range(3):
         lefts = []
         for delay in grid.tolist():
-            made = motion.recommanded(shifted(time, commands, delay))
+            made = motion.recommanded(_held(shifted(time, commands, delay)))
             rows = slice(third * len(made.q) // 3, (third + 1) * len(made.q) // 3)
             lefts.append((fit.explain(made.at(rows).thinned(limits.scan_rows)).misfit, delay))
         delays.append(min(lefts)[1])
@@ -152,7 +180,8 @@ def _drift(
 
     def left(at: np.ndarray) -> float:
         late = at[0] * step + at[1] * step * (time - middles[1]) / (middles[2] - middles[0])
-        return fit.explain(motion.recommanded(shifted(time, commands, late)).thinned(limits.scan_rows)).misfit
+        made = motion.recommanded(_held(shifted(time, commands, late)))
+        return fit.explain(made.thinned(limits.scan_rows)).misfit
 
     begin = np.array([offset + rate * middles[1], rate * (middles[2] - middles[0])]) / step
     simplex = begin + 2 * np.eye(3, 2, -1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from invdyn.diagnosis.check.robot_terms import RobotTerms
 from invdyn.diagnosis.regression.regressors import filed_torques, inverse
-from invdyn.diagnosis.rules import DEFAULT, Rules
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.recordings.logs.mapping import JointMap
 
@@ -78,20 +78,25 @@ class Motion:
         return replace(self, q=self.q - shift, terms=None if self.terms is None else self.terms.recounted(shift))
 
     def recommanded(self, given: np.ndarray) -> "Motion":
-        """The motion under other commands (T, K) than the log's. Raises ValueError of one in other rows."""
+        """The motion under other commands (T, K) than the log's, in the rows in which these are not NaN.
+
+        Raises ValueError of a motion in other rows than its own.
+        """
         if self.smooth is None:
             raise ValueError("expected a motion in all of its rows")
-        commands = self.smooth(given)
-        if self.terms is None:
-            return replace(self, torque=commands)
-        terms = replace(self.terms, commands=commands)
-        return replace(self, torque=terms.torque(self.q, self.qd), terms=terms)
+        unknown = np.isnan(given)
+        commands, terms = self.smooth(np.where(unknown, 0.0, given)), self.terms
+        if terms is not None:
+            terms = replace(terms, commands=commands)
+            commands = terms.torque(self.q, self.qd)
+        made = replace(self, torque=commands, terms=terms)
+        return made.at(np.abs(self.smooth(unknown + 0.0)).max(1) < FIXED.negligible) if unknown.any() else made
 
     def thinned(self, rows: int) -> "Motion":
         """The motion in at most so many ``rows``, evenly."""
         return self.at(slice(None, None, -(-len(self.q) // rows)))
 
-    def at(self, every: slice) -> "Motion":
+    def at(self, every: slice | np.ndarray) -> "Motion":
         """The motion in some of its rows."""
         q, qd, qdd, torque = (each[every] for each in (self.q, self.qd, self.qdd, self.torque))
         terms = None if self.terms is None else replace(self.terms, commands=self.terms.commands[every])

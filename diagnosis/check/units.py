@@ -87,6 +87,36 @@ def _shares(reading: Reading, body: ArticulatedBody, all_confirmed: bool, rules:
 
     ``all_confirmed``: whether the torques say that they are degrees.
     """
+    within = _within(reading, body, rules)
+    if within is None or (all_confirmed and within == "inside"):
+        return None
+    turn = _range_for(reading)
+    if within == "ends":
+        words = "numbers end at ±100: they say how far each joint is in its range, as LeRobot's do"
+        return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+    words = "the angles are no radians: LeRobot's −100 to 100 of each joint's range, or degrees"
+    turn += ', or, if they are degrees, unit = "deg"'
+    return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+
+
+def doubted_degrees(reading: Reading, body: ArticulatedBody, misfit: float, rules: Rules = DEFAULT) -> str | None:
+    """That a servo log's numbers, which a mapping calls degrees, may be shares of ranges; None where torques say not.
+
+    Degrees and shares are alike in size. So a right log of degrees may be doubted, whose simulation misses as much.
+    """
+    units = {own.angle.unit for own in reading.maps or () if own.angle is not None}
+    if units != {"deg"} or not reading.targets or misfit < rules.check.degrees_misfit:
+        return None
+    if _within(reading, body, rules) is None:
+        return None
+    return (
+        f"the numbers called degrees stay within ±100, and the torques miss {100 * misfit:.0f} %: they may be "
+        f"LeRobot's −100 to 100 of each joint's range (without use_degrees); then {_range_for(reading)}, and no unit"
+    )
+
+
+def _within(reading: Reading, body: ArticulatedBody, rules: Rules) -> str | None:
+    """Whether a mapping's numbers of angles stay "inside" ±100, or end there ("ends"); None of others."""
     recording = reading.recording
     if reading.maps is None or recording.angles is None:
         return None
@@ -96,18 +126,16 @@ def _shares(reading: Reading, body: ArticulatedBody, all_confirmed: bool, rules:
         return None
     raw = RobotTerms.of(body, np.zeros_like(angles), reading.maps).angle.raw(angles)
     low, high = np.nanmin(raw, axis=0, initial=np.inf), np.nanmax(raw, axis=0, initial=-np.inf)
-    beyond = bool((np.maximum(-low, high) > ENDS[1] + rules.check.range_tolerance).any())
-    ends = bool((np.abs(np.stack([-low, high]) - ENDS[1]) <= rules.check.range_tolerance).any())
-    if beyond or (all_confirmed and not ends):
+    if (np.maximum(-low, high) > ENDS[1] + rules.check.range_tolerance).any():
         return None
+    ends = (np.abs(np.stack([-low, high]) - ENDS[1]) <= rules.check.range_tolerance).any()
+    return "ends" if ends else "inside"
+
+
+def _range_for(reading: Reading) -> str:
+    """What to write for shares of a range."""
     lines = " and ".join(f'"{track} = …"' for track in (("angle", "target") if reading.targets else ("angle",)))
-    turn = f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {reading.units.mapping}"
-    if ends:
-        words = "numbers end at ±100: they say how far each joint is in its range, as LeRobot's do"
-        return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
-    words = "the angles are no radians: LeRobot's −100 to 100 of each joint's range, or degrees"
-    turn += ', or, if they are degrees, unit = "deg"'
-    return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+    return f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {reading.units.mapping}"
 
 
 def motions(reading: Reading, body: ArticulatedBody, rules: Rules = DEFAULT) -> list[Motion]:

@@ -9,6 +9,7 @@ from robot_log import ARM, robot_log
 from servo_log import SERVO, SERVO_ARM, ZERO, write_servo_log
 
 from invdyn.diagnosis.check.check import check
+from invdyn.diagnosis.check.units import doubted_degrees
 from invdyn.diagnosis.rules import DEFAULT
 from invdyn.inputs import read_logs
 from invdyn.models.bodies.joint_parts import JointParts
@@ -122,6 +123,26 @@ def test_numbers_that_end_at_a_hundred_are_no_degrees(tmp_path):
     ).mistakes
     assert wrong.kind == "percent"
     assert "deg" not in wrong.sentence
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "misfit", "doubted"),
+    [("deg", 1, 0.17, True), ("deg", 1, 0.05, False), ("deg", 20, 0.17, False), ("rad", 1, 0.17, False)],
+)
+def test_degrees_that_the_torques_do_not_bear_out_may_be_shares(tmp_path, unit, factor, misfit, doubted):
+    """Of a servo's log within ±100, whose torques miss a tenth or more."""
+    large = dict.fromkeys(("q1", "q2"), factor)
+    log = written(
+        tmp_path,
+        servo(unit=f'unit = "{unit}"'),
+        lambda columns: columns | {name: by * columns[name] for name, by in large.items()},
+    )
+    (reading,) = read_logs(log, SERVO_ARM, str(tmp_path / "map.toml"))
+    found = doubted_degrees(reading, SERVO_ARM, misfit)
+    assert (found is not None) == doubted
+    if found is not None:
+        assert "may be LeRobot's −100 to 100" in found
+        assert "write range = [low, high], rad at −100 and at 100, in each line" in found
 
 
 def test_degrees_that_the_torques_bear_out_are_named(tmp_path):

@@ -8,7 +8,6 @@ import torch
 from robot_log import ARM, robot_log
 
 from invdyn.diagnosis.check.check import check
-from invdyn.diagnosis.check.command_times import shifted
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
@@ -38,7 +37,9 @@ def wrapped(log: Recording) -> Recording:
 
 
 def moved(log: Recording, by: float | np.ndarray) -> Recording:
-    return replace(log, torques=shifted(log.time, log.torques, by))
+    """The commands so much later, the first and the last held where the log has none."""
+    at = np.searchsorted(log.time, log.time - by + 1e-9, side="right") - 1
+    return replace(log, torques=log.torques[at.clip(0, len(log.time) - 1)])
 
 
 BOTH = ("shoulder", "elbow")
