@@ -519,6 +519,7 @@ class Fixed:
         (1.0, 2.0, 4.0, 8.0, 16.0), "1", "on an ensemble's spread, until its bands hold", "chosen"
     )
     ensemble_coverage: float = number(0.9, "of the rows", "held out, that an ensemble's band holds", "stated")
+    point_inertia: float = number(1e-9, "kg·m²", "of a payload, which is a point: MuJoCo wants some", "stated")
     extra_samples: int = number(2, "samples", "that an actuator with a delay remembers besides", "MuJoCo")
     # -- the report
     num_shown: int = number(5, "causes", "in full view", "stated")

@@ -14,7 +14,7 @@ import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.changes import FileChange
-from invdyn.diagnosis.write_back.mjcf import POINT, BodyNumbers, groups
+from invdyn.diagnosis.write_back.mjcf import BodyNumbers, groups
 from invdyn.diagnosis.write_back.mjcf_writer import joint_of_row, rows_differing
 from invdyn.models import ArticulatedBody
 
@@ -50,7 +50,7 @@ def changed_spec(spec: Any, body: ArticulatedBody, changes: Sequence[FileChange]
         if several[0].quantity == "payload":
             number, place = numbers.tip()
             point = elements["bodies"][number].add_body(name="payload", pos=place, explicitinertial=True)
-            point.mass, point.ipos, point.inertia = several[0].after, np.zeros(3), np.full(3, POINT)
+            point.mass, point.ipos, point.inertia = several[0].after, np.zeros(3), np.full(3, FIXED.point_inertia)
             continue
         after = copy.copy(now)
         if why := numbers.put(after, several):

@@ -20,6 +20,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back import model_numbers as own
 from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, SERVO_DAMPING, ZERO, FileChange, comment_of
 from invdyn.diagnosis.write_back.mjcf_writer import INCLUDED, Writer
@@ -32,8 +33,6 @@ from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects.inertias import point_of
 
 OF_JOINT = {"damping": own.DAMPING, "friction": own.FRICTION, "armature": own.ARMATURE, "stiffness": own.STIFFNESS}
-POINT = 1e-9
-"""kg·m² of a payload, which is a point: MuJoCo wants some."""
 
 
 def rewritten(
@@ -175,7 +174,8 @@ class BodyNumbers:
         if element is None:
             return INCLUDED
         at = " ".join(f"{x:.7g}" for x in place.round(12) + 0.0)
-        inertial = f'<inertial pos="0 0 0" mass="{change.after:.7g}" diaginertia="{" ".join([str(POINT)] * 3)}"/>'
+        moments = " ".join([str(FIXED.point_inertia)] * 3)
+        inertial = f'<inertial pos="0 0 0" mass="{change.after:.7g}" diaginertia="{moments}"/>'
         writer.text.insert(element, f'<body name="payload" pos="{at}">{inertial}</body>', change.comment)
         return None
 

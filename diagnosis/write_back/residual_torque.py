@@ -27,7 +27,7 @@ import numpy as np
 
 from invdyn.diagnosis.regression.linear_effects import required_by_file
 from invdyn.diagnosis.regression.measured_motion import measured_motion
-from invdyn.diagnosis.rules import FIXED
+from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import joint_names
@@ -107,12 +107,14 @@ class ResidualTorque:
         return callback
 
 
-def residual_torque(recording: Recording | Sequence[Recording], body: ArticulatedBody) -> ResidualTorque:
+def residual_torque(
+    recording: Recording | Sequence[Recording], body: ArticulatedBody, rules: Rules = DEFAULT
+) -> ResidualTorque:
     """The torque that the simulation ``body`` still lacks along recordings of it with known torques, as a process.
 
     Raises InputError where torques are not known, or too few rows show every joint.
     """
-    motion = measured_motion(recording, body)
+    motion = measured_motion(recording, body, rules=rules)
     if motion is None:
         raise InputError("expected recordings with the torques or targets of every joint, got none with enough rows")
     missing = required_by_file(dynamics_for(body), body, motion) - motion.torque
