@@ -10,6 +10,9 @@
     [joints.hand]
     angle  = {track = "h", range = [0, 0.8], ends = [0, 100]}        # rad where the log has 0, and where it has 100
 
+    [joints.roll]                                                    # of motors that add: a sum, a row of their matrix
+    torque = [{track = "i5", gear = 45}, {track = "i6", gear = 32, sign = -1}]
+
 Angles, torques and targets are those of the robot's own file, as it counts them. A gear converts the motor's
 quantities to the joint's: a torque times it, an angle or target over it (MuJoCo's ctrl is gear · q). With a `range`
 [a, b] the log's numbers are positions between the ends of a joint's range. These are `ends` [c, d], by default −100 and
@@ -58,7 +61,7 @@ class Source:
 
     `unit` is the declared one, if any. `gear` is part of the factor already, as a range is. The
     track's values are known modulo `wrap`, if that is not 0: each is taken within half of it of the one before.
-    `feedforward`: a torque that a controller adds to its servo's.
+    `feedforward`: a torque that a controller adds to its servo's. `added` are other tracks whose SI units are added.
     """
 
     track: str
@@ -69,6 +72,7 @@ class Source:
     gear: float = 1.0
     wrap: float = 0.0
     feedforward: bool = False
+    added: tuple["Source", ...] = ()
 
     def of(self, episode: Episode, where: str) -> Track:
         """The track in SI units. Raises InputError where the log has none of that name, or without times."""
@@ -79,11 +83,13 @@ class Source:
         if self.wrap:
             values = values.copy()
             values[known] = np.unwrap(values[known], period=self.wrap)
-        return Track(found.time, (values - self.origin) * self.factor + self.offset)
+        values = (values - self.origin) * self.factor + self.offset
+        return Track(found.time, sum((each.of(episode, where).last_before(found.time) for each in self.added), values))
 
     def times(self, factor: float) -> "Source":
         """The source in another unit: values ``factor`` times as large, about the same zero."""
-        return replace(self, factor=self.factor * factor)
+        added = tuple(each.times(factor) for each in self.added)
+        return replace(self, factor=self.factor * factor, added=added)
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ class LogMap:
     def needed(self) -> Needed:
         """The tracks that it names."""
         sources = [source for joint in self.joints.values() for source in (joint.angle, joint.torque, joint.target)]
-        return Needed(frozenset(source.track for source in sources if source is not None))
+        return Needed(frozenset(each.track for source in sources if source for each in (source, *source.added)))
 
     def rescaled(self, angle: float = 1.0, target: float = 1.0, time: float = 1.0) -> "LogMap":
         """The mapping in other units: angles, targets and times so many times as large, about the same zeros."""
@@ -134,11 +140,12 @@ class LogMap:
         for name, joint in self.joints.items():
             known, what = (SHIFTS, "shifts") if name in slides else (ANGLES, "turns")
             for kind, source in (("angle", joint.angle), ("target", joint.target)):
-                if source is not None and source.unit is not None and source.unit not in known:
-                    raise InputError(
-                        f"joints.{name}.{kind}: the joint {what}: expected a unit of {', '.join(known)}, "
-                        f"got {source.unit!r}"
-                    )
+                for each in (source, *source.added) if source else ():
+                    if each.unit is not None and each.unit not in known:
+                        raise InputError(
+                            f"joints.{name}.{kind}: the joint {what}: expected a unit of {', '.join(known)}, "
+                            f"got {each.unit!r}"
+                        )
 
     @classmethod
     def load(cls, path: str | Path) -> "LogMap":
@@ -167,7 +174,8 @@ class LogMap:
             found[name] = JointMap(
                 **{kind: _source(table[kind], kind, f"joints.{name}.{kind}", folder) for kind in table}
             )
-        angles = [table["angle"] for table in joints.values() if "angle" in table]
+        given = [table["angle"] for table in joints.values() if "angle" in table]
+        angles = [each for own in given for each in (own if isinstance(own, list) else [own])]
         own = cls(found, time, TIMES[unit])
         every = all(isinstance(each, dict) and ("unit" in each or "range" in each) for each in angles)
         declared = {"angle": "rad" if every else None, "time": unit if "time_unit" in tables else None}
@@ -199,6 +207,9 @@ class LogMap:
 
 
 def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
+    if isinstance(given, list) and given:
+        first, *others = (_source(each, kind, where, folder) for each in given)
+        return replace(first, added=tuple(others))
     table = {"track": given} if isinstance(given, str) else given
     if not isinstance(table, dict) or not isinstance(table.get("track"), str):
         raise InputError(f'{where}: expected {{track = "NAME", …}}, got {given!r:.60}')

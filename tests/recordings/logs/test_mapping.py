@@ -113,3 +113,32 @@ def test_numbers_that_begin_again_are_one_course_with_a_wrap():
     np.testing.assert_allclose(found, -ticks)
     with pytest.raises(InputError, match="expected wrap as the positive number"):
         LogMap.of({"joints": {"j": {"angle": {"track": "q", "wrap": 0}}}})
+
+
+def test_motors_that_add_are_a_matrix_row_by_row():
+    """A wrist by two motors: torques Aᵀ τ, angles A⁻¹ q of the motors, each in its own unit and gear."""
+    torques, angles = np.array([[1.0, 2.0, -1.0], [0.5, -0.5, 3.0]]), np.array([[0.0, 90.0, 30.0], [0.2, 0.1, -0.4]])
+    lines = {
+        "bend": {
+            "torque": [{"track": "i1", "gear": 45}, {"track": "i2", "gear": 32, "sign": -1}],
+            "angle": [{"track": "p1", "unit": "deg", "gear": 2}, {"track": "p2", "gear": 4, "zero": 0.3}],
+        },
+        "roll": {"torque": {"track": "i2", "gear": 32}, "angle": "p2"},
+    }
+    mapping = LogMap.of({"joints": lines})
+    assert mapping.needed().tracks == {"i1", "i2", "p1", "p2"}
+    time = np.arange(3.0)
+    named = dict(zip(("i1", "i2", "p1", "p2"), (*torques, *angles), strict=True))
+    episode = {name: Track.of(time, values) for name, values in named.items()}
+    bend = mapping.joints["bend"]
+    np.testing.assert_allclose(bend.torque.of(episode, "bend").values, [45, -32] @ torques)
+    expected = np.radians(angles[0]) / 2 + angles[1] / 4 + 0.3
+    np.testing.assert_allclose(bend.angle.of(episode, "bend").values, expected)
+    twice = mapping.rescaled(angle=2.0).joints["bend"].angle
+    np.testing.assert_allclose(twice.of(episode, "bend").values, 2 * (expected - 0.3) + 0.3)
+
+
+@pytest.mark.parametrize("given", [[], [3], [{"track": "a"}, {"track": "b", "gear": 0}]])
+def test_no_sum_of_tracks_is_one_line(given):
+    with pytest.raises(InputError, match=r"^joints\.elbow\.torque: expected"):
+        LogMap.of({"joints": {"elbow": {"torque": given}}})
