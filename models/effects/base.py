@@ -175,14 +175,14 @@ class Effect(ABC):
     def everywhere(cls, body: ArticulatedBody, keypoints: Sequence[str]) -> list[Self]:
         """One instance for every place of ``body`` at which the effect can act, in every form.
 
-        ``keypoints`` are those tracked; none of a body that it does not fit.
+        ``keypoints`` are those tracked, which what acts on the body does not need; none of a body that it does not fit.
         """
         places: dict[str, list[tuple[str, ...]]] = {
             "arm": [()],
             "joint": [(name,) for name in body.joint_names],
             "pair": list(pairwise(body.joint_names)),
             "stop": list(product(body.joint_names, STOPS)),
-            "keypoint": [(name,) for name in keypoints],
+            "keypoint": [(name,) for name in (keypoints if cls.sensor else body.keypoint_names)],
             "link": [(name,) for name in body.link_names],
         }
         forms = ((), *((word,) for word in cls.forms))

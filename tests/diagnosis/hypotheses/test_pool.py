@@ -33,6 +33,16 @@ def test_what_is_left_out_is_not_considered():
     assert not {e.name for e in everything} & {"joint_coupling", "label_swap"}  # they need two joints
 
 
+def test_a_push_is_considered_where_encoders_alone_are_read():
+    """It acts on a point that need not be tracked; what only a camera shows needs one."""
+    seen = recording_of()
+    read = {"angles": np.zeros((seen.num_frames, 1)), "joint_names": PENDULUM.joint_names}
+    log = replace(seen, keypoints=np.empty((seen.num_frames, 0, 2)), keypoint_names=(), **read)
+    known = {effect.key for effect in considered(diagnosis_problem(log, PENDULUM, force=True))}
+    assert "external_push.tip" in known
+    assert not known & {"keypoint_offset.tip", "camera_roll"}
+
+
 def test_a_set_that_a_part_of_it_beats_is_no_rival():
     found, letters = pool(none=0.0, a=20.0, b=19.0, ab=21.0, abc=40.0)
     names = ["".join(sorted(letters[e.key] for e in cause.effects)) for cause in found.ranked]
