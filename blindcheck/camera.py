@@ -25,8 +25,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.tracker import mistaken, unit_noise
+from invdyn.blindcheck.world import Trajectory
 
 Effect = tuple[str, int | None, Mapping[str, float]]
 """Name, the keypoint's number (0 is the first tip) where it has one, and parameters."""

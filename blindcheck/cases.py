@@ -26,8 +26,8 @@ from invdyn.blindcheck.kinds import KINDS
 from invdyn.blindcheck.motion import Plan, frame_times, random_plan, simulated
 from invdyn.blindcheck.scene import scene
 from invdyn.blindcheck.setting import Style, of_robot
-from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.visibility import visibility
+from invdyn.blindcheck.world import Trajectory
 from invdyn.models import Body
 from invdyn.recordings import Recording, write_keypoint_csv, write_text
 

@@ -18,10 +18,11 @@ from invdyn.blindcheck.pinocchio.forms import MECHANISMS as FORMS
 from invdyn.blindcheck.pinocchio.forms import drawn_form
 from invdyn.blindcheck.pinocchio.simulator import World as SecondWorld
 from invdyn.blindcheck.setting import PLANE, Setting
-from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.tracker import noise_law
 from invdyn.blindcheck.trees import SPACE
 from invdyn.blindcheck.unlisted_effects import UNLISTED
+from invdyn.blindcheck.world import Trajectory
 
 
 @dataclass(frozen=True)

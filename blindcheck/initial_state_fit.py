@@ -15,8 +15,9 @@ from functools import partial
 import numpy as np
 
 from invdyn.blindcheck.motion import replay
-from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.stretched import pendulum_frequency
+from invdyn.blindcheck.world import Trajectory
 from invdyn.models import Body
 
 REPLAY_LEAD = 0.1

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.stretched import STANDARD_GRAVITY, pendulum_frequency
+from invdyn.blindcheck.world import Trajectory
 from invdyn.models import Body, Link, planar_body
 
 NAMES = (("base", "tip"), ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))  # keypoints of 1, 2, 3 links

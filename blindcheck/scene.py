@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from invdyn.blindcheck.motion import Plan
-from invdyn.blindcheck.simulator import Trajectory, World
+from invdyn.blindcheck.simulator import World
 from invdyn.blindcheck.stretched import pendulum_frequency, reach
+from invdyn.blindcheck.world import Trajectory
 from invdyn.models import Body
 
 NONIDEAL_FRACTION = 0.4

@@ -14,12 +14,13 @@ angles are those of `invdyn.models.Body`.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from invdyn.blindcheck.pieces import Piece, pieces_of, sites_at
+from invdyn.blindcheck.pieces import Piece
+from invdyn.blindcheck.world import MAX_JOINT_SPEED, ChangeableBody, Policy, Trajectory, even_steps
 from invdyn.models import Body
 from invdyn.models.bodies.inertia import six
 from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
@@ -27,40 +28,10 @@ from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
 MAX_STEP = 5e-4  # s; halving it moves no tip of a nominal arm by more than a micrometre
 MAX_REPLAY_STEP = 2e-3
 """s, longest step of a replay in space, for d′, in which nothing jumps: no site moves by a hundredth of the noise."""
-MAX_JOINT_SPEED = 300.0  # rad/s; beyond it the run has diverged
 
 
-class Trajectory(NamedTuple):
-    """What really happened, at the simulator's own rate.
-
-    `time` (N+1,) s; `q`, `qd` (N+1, K); `points` (N+1, P+1, d) m, the base and the sites, of a chain its K tips;
-    `heading` (N+1, P) rad, angles of hinges added up as far as the link that has each site; `command_time` (C,) s and
-    `command` (C, K) N·m, as given to the actuators.
-    """
-
-    time: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    points: np.ndarray
-    heading: np.ndarray
-    command_time: np.ndarray
-    command: np.ndarray
-
-
-Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
-"""(row, t in s, q (K,), qd (K,)) → the command of that row, N·m (K,)."""
-
-
-def even_steps(command_time: np.ndarray, longest: float) -> tuple[int, float, np.ndarray]:
-    """Steps a row, seconds each, ``longest`` at most, and their times (N+1,), for evenly spaced rows (C,)."""
-    rows = len(command_time) - 1
-    interval = (command_time[-1] - command_time[0]) / rows
-    each = int(np.ceil(interval / longest - 1e-9))
-    return each, interval / each, command_time[0] + interval / each * np.arange(rows * each + 1)
-
-
-class World:
-    """A body in MuJoCo, open to mechanisms until its first run. `links` are the pieces that have the links' sites.
+class World(ChangeableBody):
+    """A body in MuJoCo, open to mechanisms until its first run.
 
     Raises ImportError, with what to install, when MuJoCo is missing; ValueError for joints that are no hinges, and for
     links in another order than branch by branch, in which MuJoCo counts joints.
@@ -68,16 +39,7 @@ class World:
 
     def __init__(self, body: Body):
         self.mujoco = _mujoco()
-        if any(link.joint.type != "hinge" for link in body.links):
-            raise ValueError(f"expected hinges alone, got {', '.join(link.joint.type for link in body.links)}")
-        hand = body.hand
-        assert hand is not None  # every link has a site, and all hang on the first
-        self.dimensions, self.num_joints, self.hand = body.dimensions, body.num_joints, hand
-        self.keypoint_names = body.keypoint_names
-        self.base, self.gravity = np.array(body.base), np.array(body.in_space().gravity)
-        self.pieces = pieces_of(body)
-        self.links = tuple(self.pieces)
-        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, d)
+        super().__init__(body)
         self._spec_hooks: list[Callable] = []
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
@@ -128,23 +90,8 @@ class World:
 
     def hang(self, mass: float, length: float, inertia: float, stiffness: float, damping: float) -> None:
         """Hang a weight on a sprung hinge of its own at the last tip."""
-        last, far = self.links[-1], np.array([length, 0.0, 0.0])
-        self.pieces.append(Piece("hung", last, last.tip, mass, far, inertia * np.eye(3)))
+        self.add_weight(mass, length, inertia)
         self.on_spec(lambda spec: set_part(spec.joint("hung"), {"stiffness": stiffness, "damping": damping}))
-
-    @property
-    def possible(self) -> bool:
-        """Whether every piece has a mass, and moments that obey the triangle inequality.
-
-        A large error of a link may take all of it.
-        """
-        moments = [np.linalg.eigvalsh(piece.inertia) for piece in self.pieces]
-        solid = all(m[0] >= 0 and m[2] <= (m[0] + m[1]) * (1 + 1e-9) for m in moments)
-        return solid and all(piece.mass > 0 for piece in self.pieces)
-
-    def hinge(self, joint: int) -> int:
-        """Index in qpos and qvel of the hinge that a joint's motor drives."""
-        return next(s for s, piece in enumerate(self.pieces) if piece.joint == joint and piece.actuated)
 
     def compile(self) -> None:
         """Build the MuJoCo model; later changes by mechanisms do nothing."""
@@ -230,7 +177,7 @@ class World:
                 first = i + diverged[0]
                 qpos[first:], qvel[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
                 break
-        points, heading = self._seen(time, qpos)
+        points, heading = self.seen(time, qpos)
         moved = qpos @ joint_of.T, qvel @ joint_of.T
         return Trajectory(time, *moved, points, heading, np.asarray(command_time), rows)
 
@@ -296,14 +243,6 @@ class World:
         full = np.zeros((self.model.nv, self.model.nv))
         self.mujoco.mj_fullM(self.model, self.data, full)
         return full
-
-    def _seen(self, time: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Base and sites (N+1, P+1, d) at positions (N+1, S), and the headings (N+1, P) of what has sites."""
-        base = np.broadcast_to(self.base, (len(time), 1, self.dimensions))
-        seen = np.concatenate([base, sites_at(self.pieces, qpos)[..., : self.dimensions]], axis=1)
-        if self.base_shift is not None:
-            seen = seen + self.base_shift(time)[:, None]
-        return seen, np.cumsum(qpos, axis=1)[:, [s for s, piece in enumerate(self.pieces) if piece.sites]]
 
 
 def set_part(element: Any, attributes: dict) -> None:

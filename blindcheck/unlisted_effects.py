@@ -14,7 +14,7 @@ from invdyn.blindcheck.stretched import pendulum_frequency
 
 
 def position_friction(world: Any, rng: np.random.Generator, scene: Scene, joint: int) -> dict:
-    """Dry friction that varies with the angle, ½ A (1 + sin(2 θ + φ)), as the engine counts it: a bent shaft."""
+    """Dry friction that varies with the angle, ½ A (1 + sin(2 θ + φ)): a bent shaft."""
     size, phase = between(rng, 0.15, 0.4) * scene.torque[joint], rng.uniform(0, 2 * np.pi)
     world.dry(joint, lambda q, qd, load: size / 2 * (1 + np.sin(2 * q + phase)))
     return {"amplitude": (size, "N·m"), "phase": (phase, "rad")}

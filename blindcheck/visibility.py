@@ -22,7 +22,7 @@ from invdyn.blindcheck.injected_effects import Present, pace, shown_by_sensors, 
 from invdyn.blindcheck.motion import frame_times
 from invdyn.blindcheck.scene import Scene
 from invdyn.blindcheck.setting import Style
-from invdyn.blindcheck.simulator import Trajectory
+from invdyn.blindcheck.world import Trajectory
 from invdyn.models import Body
 
 

@@ -5,7 +5,6 @@ link flexibility   the link cut at half its length, a sprung hinge between the h
 drifting friction  dof_damping rewritten every step
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -103,20 +102,8 @@ def _link_flexibility(rng: np.random.Generator, s: Scene, link: int, a: float) -
 @mechanism(site="link", units={"stiffness": "N·m/rad", "damping": "N·m·s/rad"}, size=_link_flexibility)
 def link_flexibility(world: World, link: int, stiffness: float, damping: float) -> None:
     """The link in two halves that together have its mass, centre and inertia, a sprung hinge at half its length."""
-    outer, along = world.links[link], np.array([1.0, 0.0, 0.0])
-    half, moment, mass = outer.tip[0] / 2, outer.inertia[2, 2], outer.mass
-    # masses m/2 at com ± a leave I − m a² for the halves themselves; a uniform rod's halves have a = length/4
-    apart = min(half / 2, np.sqrt(0.8 * moment / mass))
-    rest = (moment - mass * apart**2) / 2 * np.eye(3)
-    inner = replace(outer, mass=mass / 2, com=outer.com - apart * along, inertia=rest, sites={})
-    outer.hinge, outer.parent, outer.position = f"bend{link}", inner, half * along
-    outer.mass, outer.com, outer.inertia = mass / 2, outer.com + (apart - half) * along, rest
-    outer.joint, outer.actuated, outer.damping = None, False, 0.0
-    for piece in world.pieces:  # what it carries, and its own end, count from its middle now
-        piece.position = piece.position - half * along if piece.parent is outer else piece.position
-    outer.sites = {name: at - half * along for name, at in outer.sites.items()}
-    world.pieces.insert(world.pieces.index(outer), inner)
-    world.on_spec(lambda spec: set_part(spec.joint(f"bend{link}"), {"stiffness": stiffness, "damping": damping}))
+    _, outer = world.cut_link(link, (0.0, 0.5, 1.0))
+    world.on_spec(lambda spec: set_part(spec.joint(outer.hinge), {"stiffness": stiffness, "damping": damping}))
 
 
 def _drifting_friction(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:

@@ -11,7 +11,6 @@ import numpy as np
 
 from invdyn.blindcheck.effects.effect import mechanism, set_motor
 from invdyn.blindcheck.motion import between
-from invdyn.blindcheck.pieces import Piece
 from invdyn.blindcheck.scene import Scene, natural_hz, sign
 from invdyn.blindcheck.simulator import World, set_part
 
@@ -95,13 +94,6 @@ def actuator_deadzone(world: World, joint: int, width: float) -> None:
 )
 def backlash(world: World, joint: int, width: float) -> None:
     """Backlash of this total width between the motor, with a rotor's inertia, and the link."""
-    place = world.hinge(joint)
-    link, nowhere = world.pieces[place], np.zeros(3)
-    rotor = ROTOR_SHARE * link.inertia
-    # the rotor has mass 1e-9 of the link's, because MuJoCo lets no moving body have none
-    motor = Piece(link.hinge, link.parent, link.position, 1e-9 * link.mass, nowhere, rotor, joint, actuated=True)
-    link.parent, link.position = motor, nowhere
-    link.hinge, link.actuated, link.inertia = f"play{joint}", False, link.inertia - rotor
-    world.pieces.insert(place, motor)
+    link = world.add_rotor(joint, ROTOR_SHARE)
     limits = {"limited": True, "range": [-width / 2, width / 2]}
-    world.on_spec(lambda spec: set_part(spec.joint(f"play{joint}"), limits))
+    world.on_spec(lambda spec: set_part(spec.joint(link.hinge), limits))

@@ -9,39 +9,17 @@ a push        constant, or as a half wave
 """
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 
-from invdyn.blindcheck.pinocchio.chain import Piece
+from invdyn.blindcheck.pieces import Piece
 from invdyn.blindcheck.pinocchio.forms import form
 from invdyn.blindcheck.pinocchio.simulator import World
 from invdyn.blindcheck.scene import Scene, natural_hz
 
 ROTOR_SHAKE_RATE = 2 * np.pi * 60.0
 """rad/s, at which a rotor shakes on its gear's teeth, or more."""
-
-
-@form()
-def payload(world: World, mass: float) -> None:
-    """A point mass at the last tip."""
-    last = world.pieces[-1]
-    com = (last.mass * last.com + mass * last.length) / (last.mass + mass)
-    last.inertia += last.mass * (last.com - com) ** 2 + mass * (last.length - com) ** 2
-    last.mass, last.com = last.mass + mass, com
-
-
-@form()
-def inertial_error(world: World, link: int, mass: float, com: float, inertia: float) -> None:
-    """A link whose inertial is so much off its file's."""
-    piece = next(piece for piece in world.pieces if piece.tip == link)
-    piece.mass, piece.com, piece.inertia = piece.mass + mass, piece.com + com, piece.inertia + inertia
-
-
-@form()
-def gravity_tilt(world: World, angle: float) -> None:
-    """Gravity rotated counter-clockwise."""
-    x, y = world.gravity
-    world.gravity = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
 
 
 @form()
@@ -53,7 +31,7 @@ def armature(world: World, joint: int, inertia: float) -> None:
 @form()
 def actuator_gain(world: World, joint: int, gain: float) -> None:
     """(1 + ε) u."""
-    world.shape(joint, lambda u, interval: (1 + gain) * u)
+    world.drive(joint, lambda u, interval, first: (1 + gain) * u)
 
 
 @form()
@@ -61,8 +39,8 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
     """A delay between rows, by interpolation; before the first row, the first."""
     late: deque[float] = deque()
 
-    def of(u: float, interval: float) -> float:
-        if len(world.rows) == 1:
+    def of(u: float, interval: float, first: bool) -> float:
+        if first:
             late.clear()
         whole, part = divmod(delay / interval, 1.0)
         late.append(u)
@@ -71,7 +49,7 @@ def actuator_delay(world: World, joint: int, delay: float) -> None:
         newer, older = (late[max(len(late) - 1 - int(whole) - back, 0)] for back in (0, 1))
         return (1 - part) * newer + part * older
 
-    world.shape(joint, of)
+    world.drive(joint, of)
 
 
 @form()
@@ -84,22 +62,22 @@ def actuator_lag(world: World, joint: int, time_constant: float) -> None:
 def actuator_saturation(world: World, joint: int, limit: float, sharpness: float | None = None) -> None:
     """No more than ±limit, with a hard or a round corner."""
 
-    def of(u: float, interval: float) -> float:
+    def of(u: float, interval: float, first: bool) -> float:
         if sharpness is None:
             return min(max(u, -limit), limit)
         return u / (1 + abs(u / limit) ** sharpness) ** (1 / sharpness)
 
-    world.shape(joint, of)
+    world.drive(joint, of)
 
 
 @form(lambda rng, s, k, p: p if rng.random() < 0.5 else p | {"soft": 1.0})
 def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0) -> None:
     """Of the command what exceeds ±width; or softly so."""
 
-    def of(u: float, interval: float) -> float:
+    def of(u: float, interval: float, first: bool) -> float:
         return u - width * np.tanh(u / width) if soft else u - min(max(u, -width), width)
 
-    world.shape(joint, of)
+    world.drive(joint, of)
 
 
 def _backlash(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
@@ -115,12 +93,8 @@ def backlash(
     world: World, joint: int, width: float, rotor_share: float, gear_stiffness: float, gear_damping: float
 ) -> None:
     """Slack of so much in all between a rotor, with its share of the link's inertia, and the link; teeth only push."""
-    place = world.hinge(joint)
-    link = world.pieces[place]
-    rotor = rotor_share * link.inertia
-    motor = Piece(0.0, 1e-9 * link.mass, 0.0, rotor, joint, None, link.sign, link.zero)
-    link.joint, link.sign, link.zero, link.inertia = None, 1.0, 0.0, link.inertia - rotor
-    world.pieces.insert(place, motor)
+    link = world.add_rotor(joint, rotor_share)
+    link.joint = None
 
     def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
         s = at[joint] + 1
@@ -150,41 +124,19 @@ def link_flexibility(
     each_damping: float = 0.0,
 ) -> None:
     """A link cut in two at a share of its length, or in three, that has its mass, centre and inertia while straight."""
-    place = next(s for s, piece in enumerate(world.pieces) if piece.tip == link)
     ends = [0.0, 1 / 3, 2 / 3, 1.0] if stiffness is None else [0.0, position, 1.0]
     k, d = (each_stiffness, each_damping) if stiffness is None else (stiffness, damping)
-    pieces = cut(world.pieces[place], ends)
-    world.pieces[place : place + 1] = pieces
+    pieces = world.cut_link(link, ends)
 
     def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-        first = next(s for s, piece in enumerate(world.pieces) if piece is pieces[1])
+        first = world.pieces.index(pieces[1])
         for s in range(first, first + len(pieces) - 1):
             tau[s] -= k * q[s] + d * v[s]
 
     world.force(act)
     tip = pieces[-1]
-    about = tip.inertia + tip.mass * tip.com**2
+    about = tip.inertia[2, 2] + tip.mass * tip.com[0] ** 2
     world.resolve(lambda mobility: 2 * np.sqrt(k / about))
-
-
-def cut(whole: Piece, ends: list[float]) -> list[Piece]:
-    """Pieces of a link between shares of its length, uniform as far as its inertia allows."""
-    shares = np.diff(ends)
-    middles = (np.array(ends[1:]) + ends[:-1]) / 2
-    from_centre = (middles - (shares * middles).sum()) * whole.length
-    # centres as far apart as a uniform rod's, nearer where the link has less inertia
-    moment = whole.mass * (shares * from_centre**2).sum()
-    nearer = min(1.0, np.sqrt(0.8 * whole.inertia / moment))
-    rest = (whole.inertia - nearer**2 * moment) * shares**3 / (shares**3).sum()
-    pieces = [
-        Piece(length, share * whole.mass, whole.com + nearer * off - start, inertia)
-        for length, share, off, start, inertia in zip(
-            shares * whole.length, shares, from_centre, np.array(ends[:-1]) * whole.length, rest, strict=True
-        )
-    ]
-    pieces[0].joint, pieces[0].sign, pieces[0].zero = whole.joint, whole.sign, whole.zero
-    pieces[-1].tip = whole.tip
-    return pieces
 
 
 def _wave(rng: np.random.Generator, s: Scene, tip: int, p: dict) -> dict:
@@ -207,7 +159,7 @@ def external_push(
 ) -> None:
     """A force at a tip during an interval, constant or half a sine's wave; its mean over each step acts."""
     half_wave = bool(peak_x or peak_y)
-    force, now = np.array([peak_x, peak_y] if half_wave else [force_x, force_y]), [0.0]
+    force, now = np.array([peak_x, peak_y, 0.0] if half_wave else [force_x, force_y, 0.0]), [0.0]
 
     def begin(t: float, h: float, q: np.ndarray, v: np.ndarray, at: list[int]) -> None:
         first, last = max(t, start), min(t + h, stop)
@@ -220,13 +172,20 @@ def external_push(
             now[0] = (last - first) / h
 
     def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-        if now[0]:
-            tip = next(s for s, piece in enumerate(world.pieces) if piece.tip == keypoint)
-            signs = np.array([piece.sign for piece in world.pieces[: tip + 1]])
-            heading = np.cumsum(signs * q[: tip + 1] + [piece.zero for piece in world.pieces[: tip + 1]])
-            along = np.stack([np.cos(heading), np.sin(heading)], -1)
-            lever = np.cumsum((along * [[piece.length] for piece in world.pieces[: tip + 1]])[::-1], axis=0)[::-1]
-            tau[: tip + 1] += signs * now[0] * (lever[:, 0] * force[1] - lever[:, 1] * force[0])
+        if not now[0]:
+            return
+        world.pin.forwardKinematics(world.model, world.data, q)
+        tip = placed(world.links[keypoint]).act(world.links[keypoint].tip)
+        piece: Piece | None = world.links[keypoint]
+        while piece is not None:
+            own = placed(piece)
+            tau[world.pieces.index(piece)] += (
+                own.rotation @ piece.axis @ np.cross(tip - own.translation, now[0] * force)
+            )
+            piece = piece.parent
+
+    def placed(piece: Piece) -> Any:
+        return world.data.oMi[1 + world.pieces.index(piece)]
 
     world.begin(begin)
     world.force(act)
@@ -239,8 +198,9 @@ def base_motion(world: World, amplitude_x: float, amplitude_y: float, frequency:
     world.base_shift = lambda t: np.sin(omega * t + phase)[:, None] * amplitude
 
     def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-        x, y = world.gravity + omega**2 * np.sin(omega * t + phase) * amplitude
-        world.model.gravity.linear = np.array([x, 0.0, y])
+        gravity = world.gravity.copy()
+        gravity[:2] += omega**2 * np.sin(omega * t + phase) * amplitude
+        world.model.gravity.linear = gravity
 
     world.force(act)
     world.resolve(lambda mobility: omega)

@@ -1,9 +1,9 @@
-"""Forces of joints in other forms: φ counts from hanging or between links. SI units, radians.
+"""Forces of joints in other forms: SI units, radians.
 
-dry frictions     hard (`simulator.World.dry`), or smoothed, L tanh(|φ̇|/creep)
-Stribeck          exp(−(φ̇/ω)²), or 1/(1 + (φ̇/ω½)²) (Hess & Soom, J. Tribol. 1990), half way at the same speed
+dry frictions     hard (`simulator.World.dry`), or smoothed, L tanh(|q̇|/creep)
+Stribeck          exp(−(q̇/ω)²), or 1/(1 + (q̇/ω½)²) (Hess & Soom, J. Tribol. 1990), half way at the same speed
 stops             a spring and a damper, or k x (1 + 3/2 e ẋ) (Hunt & Crossley, J. Appl. Mech. 1975)
-drift             −(b₀ + slope t) φ̇, or b₀ + rise (1 − exp(−t/T)): a gear that warms up or runs dry
+drift             −(b₀ + slope t) q̇, or b₀ + rise (1 − exp(−t/T)): a gear that warms up or runs dry
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ HALF_WAY = float(np.sqrt(np.log(2)))
 
 @form()
 def viscous_friction(world: World, joint: int, damping: float) -> None:
-    """−b φ̇."""
-    world.torque(joint, lambda t, q, v: -damping * v)
+    """−b q̇."""
+    world.law(joint, lambda t, q, v: -damping * v[joint])
     world.resolve(lambda mobility: damping * mobility[joint])
 
 
@@ -63,9 +63,8 @@ def load_friction(world: World, joint: int, coefficient: float, creep: float = 0
 
 @form()
 def joint_stiffness(world: World, joint: int, stiffness: float, rest_angle: float) -> None:
-    """A spring with its equilibrium at an angle from hanging, or between the links."""
-    rest = world.own(joint, rest_angle)
-    world.torque(joint, lambda t, q, v: -stiffness * (q - rest))
+    """A spring with its equilibrium at an angle."""
+    world.law(joint, lambda t, q, v: -stiffness * (q[joint] - rest_angle))
 
 
 @form()
@@ -97,10 +96,9 @@ def joint_limit(
     loss: float = 0.0,
 ) -> None:
     """A stop that pushes and never pulls; its loss e, s/rad, grows with the depth where it has no damper."""
-    at, side = world.own(joint, angle), side * world.sign(joint)
 
-    def torque(t: float, q: float, v: float) -> float:
-        depth, closing = side * (q - at), side * v
+    def torque(t: float, q: np.ndarray, v: np.ndarray) -> float:
+        depth, closing = side * (q[joint] - angle), side * v[joint]
         if depth <= 0:
             return 0.0
         push = (
@@ -108,7 +106,7 @@ def joint_limit(
         )
         return -side * max(0.0, push)
 
-    world.torque(joint, torque)
+    world.law(joint, torque)
     world.resolve(lambda mobility: 2 * np.sqrt(stiffness * mobility[joint]))
 
 
@@ -139,4 +137,4 @@ def drifting_friction(
     def coefficient(t: float) -> float:
         return max(damping + first + slope * t - rise * float(np.expm1(-t / time_constant)), 0.0)
 
-    world.torque(joint, lambda t, q, v: -coefficient(t) * v)
+    world.law(joint, lambda t, q, v: -coefficient(t) * v[joint])

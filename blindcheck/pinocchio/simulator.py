@@ -1,11 +1,11 @@
-"""Reality as Pinocchio's equations and our own integrator simulate it: the second generator, a `Chain` that moves.
+"""Reality as Pinocchio's equations and our own integrator simulate it: the second generator.
 
 Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, Springer 2008, ch. 7) as Pinocchio has it
 (Carpentier et al., IEEE SII 2019), and the classical Runge–Kutta method of order 4 in steps of at most 2 ms, or of a
 twentieth of the fastest swing's inverse angular frequency, or of what a mechanism asks for by `resolve`.
 
 Dry friction that is hard (`dry`) brings the joint to rest at the end of each step h, as far as its level L allows
-(Moreau's time stepping, 1988): f = clip(−(φ̇/h + a)/A, ±L). Here a is the acceleration without it, and A the joint's
+(Moreau's time stepping, 1988): f = clip(−(q̇/h + a)/A, ±L). Here a is the acceleration without it, and A the joint's
 mobility. Several joints take turns (Gauss–Seidel).
 
 Shapes: K joints, S ≥ K hinges, N steps, C command rows. SI units, radians.
@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from invdyn.blindcheck.pinocchio.chain import Chain, Piece
-from invdyn.blindcheck.simulator import MAX_JOINT_SPEED, Trajectory, even_steps
+from invdyn.blindcheck.pinocchio.dynamics import Dynamics
+from invdyn.blindcheck.world import MAX_JOINT_SPEED, Policy, Trajectory, even_steps
 from invdyn.models import Body
 
 MAX_STEP = 2e-3  # s
@@ -27,24 +27,21 @@ FRICTION_TOLERANCE = 1e-9  # share of the largest that frictions change by in th
 MAX_SWING_FRACTION = 0.05  # a step's share of the inverse angular frequency of the fastest swing
 
 Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray, list[int]], None]
-"""(t, φ (S,), φ̇ (S,), torque (S,), hinges (K,) of the joints): adds to the torque, N·m, in place."""
+"""(t, q (S,), q̇ (S,), torque (S,), hinges (K,) of the joints): adds to the torque, N·m, in place."""
 Level = Callable[[float, float, float], float]
-"""(φ, φ̇, load N·m) → N·m: the load is what the motor gives, less what gravity and rotation exert on the joint."""
-Policy = Callable[[int, float, np.ndarray, np.ndarray], np.ndarray]
+"""(q, q̇, load N·m) → N·m: the load is what the motor gives, less what gravity and rotation exert on the joint."""
 
 
-class World(Chain):
-    """A body under Pinocchio, open to mechanisms until its first run. Raises as `Chain`."""
+class World(Dynamics):
+    """A body under Pinocchio, open to mechanisms until its first run. Raises as `Dynamics`."""
 
     def __init__(self, body: Body):
         super().__init__(body)
-        self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, 2)
         self.lags: dict[int, float] = {}  # joint → s
-        self.rows: list[np.ndarray] = []  # commands of this run so far, (K,) each
         self._lagged: dict[int, float] = {}
         self._rates: list[Callable[[np.ndarray], float]] = []
         self._forces: list[Force] = []
-        self._shapes: list[tuple[int, Callable[[float, float], float]]] = []
+        self._drives: list[tuple[int, Callable[[float, float, bool], float]]] = []
         self._begins: list[Callable] = []
         self._dry: list[tuple[int, Level, float]] = []
 
@@ -56,50 +53,37 @@ class World(Chain):
         """Register torques that depend on time, angles and velocities, smoothly or nearly so."""
         self._forces.append(act)
 
-    def torque(self, joint: int, of: Callable[[float, float, float], float]) -> None:
-        """Register a joint's own torque (t, φ, φ̇) → N·m, that turns φ."""
-
-        def act(t: float, q: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-            tau[at[joint]] += of(t, q[at[joint]], v[at[joint]])
-
-        self.force(act)
-
     def law(self, joint: int, torque: Callable[[float, np.ndarray, np.ndarray], float]) -> None:
         """Register a joint's torque(t, q, qd), N·m, at the body's angles q and velocities qd (K,)."""
 
         def act(t: float, x: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
-            signs = self.signs[at]
-            tau[at[joint]] += signs[joint] * torque(t, signs * x[at] + self.zeros[at], signs * v[at])
+            tau[at[joint]] += torque(t, x[at], v[at])
 
         self.force(act)
 
     def drive(self, joint: int, of: Callable[[float, float, bool], float]) -> None:
-        """Register what a joint's motor makes of a command, of(u, seconds, whether it is the first), in turn."""
-        self.shape(joint, lambda u, interval: of(u, interval, len(self.rows) == 1))
+        """Register what a joint's motor makes of a row's command, of(u, seconds, whether it is the first), in turn."""
+        self._drives.append((joint, of))
 
     def each_step(self, joint: int, act: Callable[[float, float, float], None]) -> None:
         """Register act(t, seconds, qd), called before each step with a joint's velocity."""
-        self.begin(lambda t, h, x, v, at: act(t, h, self.signs[at[joint]] * v[at[joint]]))
+        self.begin(lambda t, h, x, v, at: act(t, h, v[at[joint]]))
 
     def hang(self, mass: float, length: float, inertia: float, stiffness: float, damping: float) -> None:
         """Hang a weight on a sprung hinge of its own at the last tip."""
-        self.pieces.append(Piece(length, mass, length, inertia))
+        self.add_weight(mass, length, inertia)
 
         def act(t: float, x: np.ndarray, v: np.ndarray, tau: np.ndarray, at: list[int]) -> None:
             tau[-1] -= stiffness * x[-1] + damping * v[-1]
 
         self.force(act)
 
-    def shape(self, joint: int, of: Callable[[float, float], float]) -> None:
-        """Register what a joint's drive makes of a row's command: (u, interval s) → u, called once a row, in turn."""
-        self._shapes.append((joint, of))
-
     def begin(self, act: Callable[[float, float, np.ndarray, np.ndarray, list[int]], None]) -> None:
-        """Register `act(t, h, φ, φ̇, hinges)`, called before each step of h seconds."""
+        """Register `act(t, h, q, q̇, hinges)`, called before each step of h seconds."""
         self._begins.append(act)
 
     def dry(self, joint: int, level: Level, creep: float = 0.0) -> None:
-        """Register dry friction of a `level`; hard, or L tanh(|φ̇|/creep), which never sticks."""
+        """Register dry friction of a `level`; hard, or L tanh(|q̇|/creep), which never sticks."""
         self._dry.append((joint, level, creep))
 
     def compile(self) -> None:
@@ -122,10 +106,10 @@ class World(Chain):
         per_row, h, time = even_steps(command_time, self._longest)
         total = len(time) - 1
         window = total + 1 if restart is None else max(1, round(restart[1] / h))
-        at, signs = self.at, self.signs
-        path, speed = np.full((total + 1, len(signs)), np.nan), np.full((total + 1, len(signs)), np.nan)
+        at = self.at
+        path, speed = np.full((2, total + 1, len(self.pieces)), np.nan)
         given = np.full((len(command_time), self.num_joints), np.nan)
-        self.rows, self._lagged, motor = [], {}, np.zeros(len(signs))
+        self._lagged, motor = {}, np.zeros(len(self.pieces))
         x, v = self._state(q, qd)
         with np.errstate(all="ignore"):  # a run that diverges overflows before it is stopped
             for i in range(total + 1):
@@ -139,34 +123,31 @@ class World(Chain):
                     break
                 path[i], speed[i] = x, v
                 if i % per_row == 0:
-                    joints = signs[at] * x[at] + self.zeros[at], signs[at] * v[at]
-                    given[i // per_row] = policy(i // per_row, time[i], *joints)
-                    self._command(given[i // per_row], per_row * h, motor)
+                    given[i // per_row] = policy(i // per_row, time[i], x[at], v[at])
+                    motor[at] = self._wanted = self._driven(given[i // per_row], per_row * h, i == 0)
                 if i < total:
                     x, v = self._advance(time[i], h, x, v, motor)
-        return self._trajectory(time, path, speed, command_time, given)
+        points, heading = self.seen(time, path)
+        return Trajectory(time, path[:, at], speed[:, at], points, heading, np.asarray(command_time), given)
 
     def _state(self, q: Sequence[float] | np.ndarray, qd: Sequence[float] | np.ndarray) -> tuple[np.ndarray, ...]:
         x, v = np.zeros(len(self.pieces)), np.zeros(len(self.pieces))
-        x[self.at] = self.signs[self.at] * (np.asarray(q) - self.zeros[self.at])
-        v[self.at] = self.signs[self.at] * np.asarray(qd)
+        x[self.at], v[self.at] = q, qd
         return x, v
 
-    def _command(self, row: np.ndarray, interval: float, motor: np.ndarray) -> None:
-        """What the motors give in a row, into `motor` (S,); where a drive lags, what it tends to."""
-        self.rows.append(row)
+    def _driven(self, row: np.ndarray, interval: float, first: bool) -> np.ndarray:
+        """What the motors give in a row, (K,); where a drive lags, what it tends to."""
         u = row.copy()
-        for joint, of in self._shapes:
-            u[joint] = of(u[joint], interval)
+        for joint, of in self._drives:
+            u[joint] = of(u[joint], interval, first)
         for joint in self.lags:
             self._lagged.setdefault(joint, u[joint])  # settled at first
-        self._wanted = u
-        motor[self.at] = self.signs[self.at] * u
+        return u
 
     def _advance(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> tuple[np.ndarray, ...]:
         for joint, lag in self.lags.items():  # the mean over the step of an exponential approach
             gap, share = self._lagged[joint] - self._wanted[joint], -np.expm1(-h / lag)
-            motor[self.at[joint]] = self.signs[self.at[joint]] * (self._wanted[joint] + gap * share * lag / h)
+            motor[self.at[joint]] = self._wanted[joint] + gap * share * lag / h
             self._lagged[joint] -= gap * share
         for act in self._begins:
             act(t, h, x, v, self.at)
@@ -207,18 +188,3 @@ class World(Chain):
             if np.abs(friction - before).max() <= FRICTION_TOLERANCE * np.abs(friction).max():
                 break
         return friction
-
-    def _trajectory(
-        self, time: np.ndarray, path: np.ndarray, speed: np.ndarray, command_time: np.ndarray, given: np.ndarray
-    ) -> Trajectory:
-        angle = self.signs * path + self.zeros
-        heading = np.cumsum(angle, axis=1)
-        lengths = np.array([piece.length for piece in self.pieces])
-        steps = lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        tips = [s for s, piece in enumerate(self.pieces) if piece.tip is not None]
-        base = np.broadcast_to(self.base, (len(time), 1, 2))
-        points = np.concatenate([base, base + np.cumsum(steps, axis=1)[:, tips]], axis=1)
-        if self.base_shift is not None:
-            points = points + self.base_shift(time)[:, None]
-        joints = angle[:, self.at], (self.signs * speed)[:, self.at]
-        return Trajectory(time, *joints, points, heading[:, tips], np.asarray(command_time), given)

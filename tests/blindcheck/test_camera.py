@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from invdyn.blindcheck.camera import film, optics
-from invdyn.blindcheck.simulator import Trajectory
+from invdyn.blindcheck.world import Trajectory
 
 STEP, SEED = 5e-4, (1, 2)
 LENGTHS = np.array([0.3, 0.2])

@@ -5,7 +5,7 @@ import pytest
 
 from invdyn.blindcheck.camera import readings
 from invdyn.blindcheck.cases import make_case
-from invdyn.blindcheck.simulator import Trajectory
+from invdyn.blindcheck.world import Trajectory
 
 TIME = np.arange(1001) * 1e-3
 Q = np.stack([np.sin(3 * TIME), np.cos(4 * TIME)], -1)

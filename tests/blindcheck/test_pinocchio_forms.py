@@ -8,9 +8,8 @@ import pytest
 from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
 from invdyn.blindcheck.motion import random_plan
-from invdyn.blindcheck.pinocchio.bodies_and_motors import cut
-from invdyn.blindcheck.pinocchio.chain import Piece
 from invdyn.blindcheck.scene import scene
+from invdyn.blindcheck.world import ChangeableBody
 from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")  # yardsticks of the names test
@@ -144,18 +143,22 @@ def test_backlash_is_slack_and_then_springs():
 @pytest.mark.parametrize("ends", [[0.0, 0.45, 1.0], [0.0, 1 / 3, 2 / 3, 1.0]])
 @pytest.mark.parametrize("inertia", [0.9 * 0.3**2 / 12, 0.3 * 0.9 * 0.3**2 / 12])
 def test_a_link_that_is_cut_is_the_link_while_straight(ends, inertia):
-    whole = Piece(0.3, 0.9, 0.13, inertia, joint=1, tip=1, sign=-1.0, zero=np.pi)
-    pieces = cut(whole, ends)
-    starts = np.cumsum([0.0, *(piece.length for piece in pieces)])
+    body = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 0.9, 0.13, inertia), ARM.links[1]])
+    world = ChangeableBody(body)
+    pieces, carried = world.cut_link(0, ends), world.links[1]
+    starts = np.cumsum([piece.position[0] for piece in pieces])
     masses = np.array([piece.mass for piece in pieces])
-    centres = starts[:-1] + [piece.com for piece in pieces]
-    assert starts[-1] == pytest.approx(0.3)
+    centres = starts + [piece.com[0] for piece in pieces]
+    assert starts[-1] + pieces[-1].tip[0] == pytest.approx(0.3)
+    assert starts[-1] + carried.position[0] == pytest.approx(0.3)
+    np.testing.assert_allclose(starts, 0.3 * np.array(ends[:-1]))
     assert masses.sum() == pytest.approx(0.9)
     assert (masses * centres).sum() == pytest.approx(0.9 * 0.13)
-    about = sum(piece.inertia for piece in pieces) + (masses * (centres - 0.13) ** 2).sum()
+    about = sum(piece.inertia[2, 2] for piece in pieces) + (masses * (centres - 0.13) ** 2).sum()
     assert about == pytest.approx(inertia)
-    assert all(piece.inertia > 0 for piece in pieces)
-    assert (pieces[0].joint, pieces[0].sign, pieces[-1].tip) == (1, -1.0, 1)
+    assert all(piece.inertia[2, 2] > 0 for piece in pieces)
+    assert [(piece.joint, piece.actuated) for piece in pieces] == [(0, True), *[(None, False)] * (len(pieces) - 1)]
+    assert world.pieces == [*pieces, carried]
 
 
 OUTSIDE = {

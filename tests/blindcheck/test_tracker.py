@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from invdyn.blindcheck.engine import film_of_any_law as film
-from invdyn.blindcheck.simulator import Trajectory
 from invdyn.blindcheck.tracker import LAWS, noise_law
+from invdyn.blindcheck.world import Trajectory
 
 FINE = np.arange(0, 4, 1e-3)
 FRAMES = np.arange(0.5, 3.5, 0.01)
