@@ -76,7 +76,7 @@ class Diagnosed(Recorded):
 
     def check(self) -> None:
         """Raise InputError for what does not go together, an unknown effect, and a recording that is given twice."""
-        from invdyn.diagnosis.engine.effects import EFFECTS as OF_ENGINE
+        from invdyn.diagnosis.catalogue.engine_effects import EFFECTS as OF_ENGINE
         from invdyn.models.effects import EFFECTS
         from invdyn.recordings import InputError, resolved
 

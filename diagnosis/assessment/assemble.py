@@ -20,7 +20,9 @@ from invdyn.diagnosis.assessment.result import (
     STEPS,
     Cause,
     Diagnosis,
+    Finding,
     Gap,
+    Learned,
     Noise,
     Outside,
     Part,
@@ -71,7 +73,12 @@ def assembled(
     large = matters(bound, none, best, along.before, limit)
     if not large:
         weighed = too_small(weighed)
-    causes = _causes(bound, found, weighed, best, seed)
+    causes = described(
+        weighed,
+        lambda cause: [finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects],
+        bound.rules,
+        lambda cause: learned(bound, cause, seed, found.temper_within()),
+    )
     rivals = ambiguous(causes, bound.rules)
     joints = body.joint_names
     return Diagnosis(
@@ -170,21 +177,24 @@ def _along_the_path(bound: DiagnosisProblem, found: HypothesisPool, best: Fitted
     return _Along(angle, velocity, tips, replays, before, before_sd, path_without, after, after_sd, frame_gap, shifts)
 
 
-def _causes(
-    bound: DiagnosisProblem, found: HypothesisPool, weighed: Weighed, best: FittedHypothesis, seed: int
+def described(
+    weighed: Weighed,
+    findings: Callable[[Any], Sequence[Finding]],
+    rules: Rules,
+    learned_with: Callable[[Any], tuple[Learned, ...]] = lambda cause: (),
 ) -> tuple[Cause, ...]:
-    """Those that are credible, and the best; the most probable first."""
+    """Causes that are credible, and the best; the most probable first."""
     causes = (
         Cause(
-            tuple(finding(bound, cause, effect, seed, found.temper_within(effect)) for effect in cause.effects),
+            tuple(findings(cause)),
             probability,
             weighed.log_evidence[cause.key],
             weighed.confirmed[cause.key].log_evidence_sd if cause.key in weighed.confirmed else float("nan"),
             weighed.in_part[cause.key],
-            learned(bound, cause, seed, found.temper_within()),
+            learned_with(cause),
         )
         for cause, probability in weighed.causes.values()
-        if probability + weighed.in_part[cause.key] > bound.rules.evidence.min_probability or cause is best
+        if probability + weighed.in_part[cause.key] > rules.evidence.min_probability or cause is weighed.best
     )
     return tuple(sorted(causes, key=lambda cause: (-cause.probability, -cause.in_part)))
 

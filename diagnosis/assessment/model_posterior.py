@@ -33,6 +33,7 @@ chance is taken back.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -40,7 +41,7 @@ from scipy.special import logsumexp
 from invdyn.diagnosis.assessment.confirm import Confirmed, confirm_all
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.prediction.innovation_tests import along_motion, prediction_errors, show_more
-from invdyn.diagnosis.problem.cause import FittedHypothesis, best_size, key_of, of_effect
+from invdyn.diagnosis.problem.cause import FittedHypothesis, Scored, best_size, key_of, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.prior import another
@@ -68,7 +69,7 @@ def share_explained(bound: DiagnosisProblem, found: HypothesisPool, cause: Fitte
 
     0 where errors or parameters speak against the cause, and else 1 with unknown torque.
     """
-    rules, tolerance = bound.rules.residual, bound.rules.evidence.tolerance
+    rules = bound.rules.residual
     errors = prediction_errors(bound, cause)
     if show_more(bound, cause, errors) or not credible(bound, cause):
         return 0.0
@@ -77,13 +78,20 @@ def share_explained(bound: DiagnosisProblem, found: HypothesisPool, cause: Fitte
     along, chance = along_motion(errors, cause)
     if along > 0.5 + rules.max_excess_along + rules.error_margin * chance:
         return 0.0
+    return share_of_small_residuals(bound, found, cause)
+
+
+def share_of_small_residuals(bound: Any, found: HypothesisPool, cause: Scored) -> float:
+    """The same by the sizes of the residual alone, of known torques."""
+    rules, tolerance = bound.rules.residual, bound.rules.evidence.tolerance
     levels, prior = bound.regime.sizes, bound.regime.log_prior
     if found.leaves(cause) and best_size(bound, cause) > tolerance:
         return 0.0
+
     # A torque under the tolerance is nothing to look for a cause of, though "no gap" is less than that.
     least = max(levels[1], tolerance) if cause.effects else levels[0]
-    weight = found.temper * (cause.by_size - prior) + prior
     little = levels <= max(least, rules.max_share_left * best_size(bound, found.pool[""]))
+    weight = found.temper * (cause.by_size - prior) + prior
     return float(np.exp(logsumexp(weight[little]) - logsumexp(weight)))
 
 
@@ -111,9 +119,30 @@ def weigh(bound: DiagnosisProblem, found: HypothesisPool, seed: int) -> Weighed:
         if j is not None and evidence[ranked[j].key] > small * least + (1 - small) * evidence[ranked[i].key]:
             probability[j], probability[i] = probability[j] + probability[i], 0.0
             share[j] = share_explained(bound, found, ranked[j])
+    return weighed_by(found, probability, share, evidence, confirmed)
+
+
+def weigh_by_sizes(found: HypothesisPool) -> Weighed:
+    """Probabilities by evidence and the residual's sizes alone, of torques that are known; nothing is confirmed."""
+    ranked = found.ranked
+    score = np.array([found.score(cause) for cause in ranked])
+    share = np.array([share_of_small_residuals(found.problem, found, cause) for cause in ranked])
+    evidence = {cause.key: cause.log_evidence for cause in ranked}
+    return weighed_by(found, np.exp(score - logsumexp(score)), share, evidence, {})
+
+
+def weighed_by(
+    found: HypothesisPool,
+    probability: np.ndarray,
+    share: np.ndarray,
+    evidence: dict[str, float],
+    confirmed: dict[str, Confirmed],
+) -> Weighed:
+    """Causes in the order of their probabilities (n,), each of which leaves no more than ``share`` (n,) says."""
+    ranked = found.ranked
     # What sizes of the residual tell, the score knows already.
     rest = (share == 0) & ~np.array([found.leaves(c) for c in ranked])
-    probability = probability * np.where(rest, [another(found.count(c), bound.rules) for c in ranked], 1.0)
+    probability = probability * np.where(rest, [another(found.count(c), found.rules) for c in ranked], 1.0)
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
     causes = {ranked[i].key: (ranked[i], float(probability[i] * share[i])) for i in order}

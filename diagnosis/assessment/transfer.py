@@ -100,7 +100,7 @@ def leaves_there(other: DiagnosisProblem, none: FittedHypothesis, cause: FittedH
     if any(other.catalogue.of(effect).per_recording for effect in cause.effects):
         return False
     there, without = (replace(each, by_size=_by_size(other, each)) for each in (cause, none))
-    return leaves(there, without, other.rules)
+    return leaves(there, without, other.regime, other.rules)
 
 
 def _by_size(other: DiagnosisProblem, there: FittedHypothesis) -> np.ndarray:

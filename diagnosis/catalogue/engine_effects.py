@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.engine.sizes import Sizes
+from invdyn.diagnosis.catalogue import model_numbers as own
+from invdyn.diagnosis.catalogue.engine_sizes import Sizes
+from invdyn.diagnosis.catalogue.entry import CatalogueEntry
+from invdyn.diagnosis.catalogue.model_numbers import HINGE, SLIDE, Place, Read, Write
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back import model_numbers as own
-from invdyn.diagnosis.write_back.model_numbers import HINGE, SLIDE, Place, Read, Write
+from invdyn.models.effects.base import Effect
 from invdyn.models.engine.contacts import is_fixed
 from invdyn.models.engine.drives import is_muscle
 from invdyn.models.engine.scene import geom_name
@@ -68,10 +70,16 @@ class FieldEffect:
     shown_by: str
     phrase: str = ""
 
-    @property
-    def words(self) -> str:
-        """In a sentence."""
-        return self.phrase or self.name.replace("_", " ")
+    def entry(self, place: Place) -> CatalogueEntry:
+        """What a report says of it at a place."""
+        return CatalogueEntry(
+            Effect,  # type: ignore[type-abstract]  # MuJoCo plays it: of the entry its words alone are used
+            phrase=self.phrase or self.name.replace("_", " "),
+            meaning=self.meaning,
+            shown_by=self.shown_by,
+            body_file_fields={number.name: number.name for number in self.numbers},
+            preposition="of" if place.kind in ("tendon", "link", "actuator") else "at",
+        )
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.diagnosis.catalogue.model_numbers import Place
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.model_numbers import Place
 from invdyn.models.engine.drives import turning_dofs
 
 OF_JOINTS = 2  # MuJoCo's mjEQ_JOINT

@@ -2,7 +2,7 @@
 
 An ``MjModel`` that is changed here is the one that MuJoCo would compile of a file with that number: what depends on it
 (inverse inertias, lengths in the reference pose, radii that bound a shape) is computed again by ``mj_setConst``. What
-differs in it is what :mod:`.mjcf_writer` writes.
+differs in it is what :mod:`..write_back.mjcf_writer` writes.
 
 MuJoCo mixes the properties of two shapes that touch (Computation: contact): friction is the larger one, time constants
 and impedances are averages. A contact's friction is therefore that of its pairs, and is set at both shapes. A ``pair``

@@ -13,70 +13,63 @@ Shapes: T rows, O observations, D states, p numbers of a cause, G sizes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.special import logsumexp
 
+from invdyn.diagnosis.catalogue.engine_effects import Candidate
+from invdyn.diagnosis.catalogue.model_numbers import changed
 from invdyn.diagnosis.engine.cubature_filter import Filtered, apart, cubature_filter
-from invdyn.diagnosis.engine.effects import Candidate
 from invdyn.diagnosis.engine.problem import EngineLog
+from invdyn.diagnosis.problem.cause import Scored
+from invdyn.diagnosis.problem.unknowns import Unknowns
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.sensitivity.evidence import Regression, regression
-from invdyn.diagnosis.write_back.model_numbers import changed
+from invdyn.diagnosis.sensitivity.evidence import learned
+from invdyn.diagnosis.sensitivity.screen import estimates, evidences, visibility
+from invdyn.diagnosis.sensitivity.sensitivities import Hypothesis
 from invdyn.models import EngineModel
 from invdyn.models.divergence import Diverged
 
-Prior = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Mean, sd and bounds of numbers."""
-
 
 @dataclass(frozen=True)
-class Cause:
+class Cause(Scored):
     """Some effects at once, with their numbers.
 
     Attributes:
         effects: candidates; none for "no gap".
+        unknowns: their numbers' priors.
         point: (p,) the numbers with which the log was filtered.
         values, covariance: (p,), (p, p) their posterior under the most probable size.
         by_size_values, by_size_sds: (G, p) the same for each size.
-        prior_mean, prior_sd: (p,).
-        by_size: (G,) log evidence for each size of the residual, without its prior.
+        log_evidence: sizes of the residual integrated out.
+        by_size: (G,) log evidence with the prior weight of each size.
         kappa: (G,) factor on the noise.
         filtered: with the numbers at ``point``.
         columns: (G, T, O, p) about them.
+        learned, far: as of :class:`.FittedHypothesis`.
     """
 
     effects: tuple[Candidate, ...]
+    unknowns: Unknowns
     point: np.ndarray
     values: np.ndarray
     covariance: np.ndarray
     by_size_values: np.ndarray
     by_size_sds: np.ndarray
-    prior_mean: np.ndarray
-    prior_sd: np.ndarray
+    log_evidence: float
     by_size: np.ndarray
     kappa: np.ndarray
     filtered: Filtered
     columns: np.ndarray
+    learned: np.ndarray
+    far: float
 
     @property
-    def key(self) -> str:
-        """Of all effects."""
-        return "+".join(each.key for each in self.effects)
-
-    def log_evidence(self, log: EngineLog) -> float:
-        """Sizes of the residual integrated out."""
-        return float(logsumexp(self.by_size + log.regime.log_prior))
-
-    def likely(self, log: EngineLog) -> int:
+    def likely(self) -> int:
         """Number of the most probable size."""
-        return int((self.by_size + log.regime.log_prior).argmax())
-
-    def size(self, log: EngineLog) -> float:
-        """The most probable residual, in typical torques."""
-        return float(log.regime.sizes[self.likely(log)])
+        return int(self.by_size.argmax())
 
 
 @dataclass(frozen=True)
@@ -94,6 +87,7 @@ def models_of(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) 
     numbers = [(number.write, each.place) for each in effects for number in each.effect.numbers]
     if not numbers:
         return list(log.models)
+
     changes = [(write, place, float(value)) for (write, place), value in zip(numbers, values, strict=True)]
     compiled = changed(log.model.scene.model, changes)
     return [each.on(compiled) for each in log.models]
@@ -110,8 +104,8 @@ def filtered_with(log: EngineLog, effects: Sequence[Candidate], values: np.ndarr
 def _columns(
     log: EngineLog,
     effects: Sequence[Candidate],
+    unknowns: Unknowns,
     values: np.ndarray,
-    sds: np.ndarray,
     filtered: Filtered,
     first: int = 0,
 ) -> np.ndarray:
@@ -127,10 +121,9 @@ def _columns(
         return apart(parts)
 
     out = []
-    for at, number in list(enumerate(n for each in effects for n in each.effect.numbers))[first:]:
-        low, high = (
-            float(np.clip(values[at] + s * FIXED.engine_step * sds[at], number.low, number.high)) for s in (-1, 1)
-        )
+    for at in range(first, len(values)):
+        step = FIXED.engine_step * unknowns.sd[at] * np.array([-1.0, 1.0])
+        low, high = np.clip(values[at] + step, unknowns.lower[at], unknowns.upper[at])
         ends = []
         for end in (low, high):
             other = values.copy()
@@ -140,83 +133,75 @@ def _columns(
     return np.stack(out, -1) if out else np.zeros((count - 1, sizes, dim, 0))
 
 
-def _priors(log: EngineLog, effects: Sequence[Candidate]) -> Prior:
-    """Mean, sd and bounds (p,) of all numbers of some effects."""
+def unknowns_of(log: EngineLog, effects: Sequence[Candidate]) -> Unknowns:
+    """Priors of all numbers of some effects."""
     each = [candidate.priors(log.model.scene.model, log.sizes) for candidate in effects]
     numbers = [number for candidate in effects for number in candidate.effect.numbers]
     mean, sd = (np.concatenate([np.zeros(0), *(pair[k] for pair in each)]) for k in (0, 1))
-    return mean, sd, np.array([n.low for n in numbers]), np.array([n.high for n in numbers])
+
+    far = log.rules.residual.max_prior_sds * sd
+    lower = np.maximum([number.low for number in numbers], mean - far)
+    upper = np.minimum([number.high for number in numbers], mean + far)
+    names = tuple(f"{candidate.key}.{number.name}" for candidate in effects for number in candidate.effect.numbers)
+    return Unknowns(names, (), mean, sd, lower, upper)
 
 
-def _regressed(
-    log: EngineLog, filtered: Filtered, columns: np.ndarray, index: np.ndarray, prior: Prior
-) -> list[Regression]:
-    """Of H candidates, of columns ``index`` (H, p) of (G, T, O, J), one result a size."""
-    sizes = len(columns)
-    both = np.concatenate([filtered.innovations[..., None], columns], -1).reshape(sizes, -1, 1 + columns.shape[-1])
+def _alone(candidate: Candidate, own: Unknowns) -> Hypothesis:
+    """A candidate as what a screen compares: its numbers about the file's."""
+    at_file = dict(zip(own.names, own.mean.tolist(), strict=True))
+    lower, upper = (tuple((end - own.mean).tolist()) for end in (own.lower, own.upper))
+    every = tuple(range(len(own.names)))
+    sds = tuple(own.sd.tolist())
+    return Hypothesis(candidate, at_file, own.names, sds, lower, upper, 0.0, every, None)  # type: ignore[arg-type]
+
+
+def _gram(filtered: Filtered, columns: np.ndarray) -> np.ndarray:
+    """Products (G, 1 + J, 1 + J) of innovations and columns (G, T, O, J)."""
+    both = np.concatenate([filtered.innovations[..., None], columns], -1)
+    both = both.reshape(len(columns), -1, both.shape[-1])
     with np.errstate(over="ignore", invalid="ignore"):
-        gram = both.swapaxes(-1, -2) @ both
-    none = np.zeros(len(index), int)
-    log_det = filtered.log_det.sum(-1)
-    mean, sd, low, high = prior
-    pairs = zip(gram, log_det, strict=True)
-    return [regression(g, index, none, mean, sd, low, high, log.count, d) for g, d in pairs]
+        return np.asarray(both.swapaxes(-1, -2) @ both)
 
 
 def screened(log: EngineLog, cause: Cause, found: Sequence[Candidate]) -> list[Screened]:
     """Each candidate added to a cause, along the cause's filter; best first."""
-    n, own = len(cause.point), [len(each.effect.numbers) for each in found]
-    pieces, priors = [], []
+    n, pieces, alone = len(cause.point), [], []
     for each in found:
-        mean, sd, low, high = _priors(log, (each,))
-        values, sds = np.concatenate([cause.point, mean]), np.concatenate([cause.prior_sd, sd])
-        pieces.append(_columns(log, (*cause.effects, each), values, sds, cause.filtered, n))
-        priors.append((mean, sd, low, high))
-    columns = np.concatenate([cause.columns, cause.filtered.columns(np.concatenate(pieces, -1))], -1)
-    width, count = max(own, default=0) + n, len(found) + 1
-    index = np.zeros((count, width), int)
-    mean, sd = np.zeros((count, width)), np.ones((count, width))
-    low, high = np.full((count, width), -np.inf), np.full((count, width), np.inf)
-    index[:, :n] = 1 + np.arange(n)
-    mean[:, :n], sd[:, :n] = cause.prior_mean - cause.point, cause.prior_sd
-    at = 1 + n
-    for k, (size, (middle, spread, lowest, highest)) in enumerate(zip(own, priors, strict=True)):
-        part = slice(n, n + size)
-        index[k, part] = at + np.arange(size)
-        sd[k, part], low[k, part], high[k, part] = spread, lowest - middle, highest - middle
-        at += size
-    results = _regressed(log, cause.filtered, columns, index, (mean, sd, low, high))
+        both = unknowns_of(log, (*cause.effects, each))
+        values = np.concatenate([cause.point, both.mean[n:]])
+        pieces.append(_columns(log, (*cause.effects, each), both, values, cause.filtered, n))
+        alone.append(_alone(each, unknowns_of(log, (each,))))
+    columns = np.concatenate([cause.filtered.columns(np.concatenate(pieces, -1)), cause.columns], -1)
+    gram, log_det = _gram(cause.filtered, columns), cause.filtered.log_det.sum(-1)
+
+    first = np.cumsum([0, *(len(each.free) for each in alone)])[:-1].tolist()
+    results = evidences(gram, log_det, log.count, alone, first, cause.unknowns, cause.point)
     table = np.stack([each.log_evidence for each in results]) + log.regime.log_prior[:, None]
-    kappa, out = results[int(table[:, -1].argmax())].kappa[-1], []
-    norms = np.sqrt((columns[0] ** 2).sum((0, 1)))
-    for k, each in enumerate(found):
-        size = int(table[:, k].argmax())
-        middle, spread, lowest, highest = priors[k]
-        estimate = np.clip(middle + np.nan_to_num(results[size].mean[k, n : n + own[k]]), lowest, highest)
-        clear = 0.67 * spread * norms[index[k, n : n + own[k]] - 1] / kappa
-        out.append(Screened(each, float(logsumexp(table[:, k])), estimate, float(clear.max())))
+    kappa = float(results[int(table[:, -1].argmax())].kappa[-1])
+    out = []
+    for k, (each, own) in enumerate(zip(found, alone, strict=True)):
+        values = np.array(list(estimates(own, results[int(table[:, k].argmax())], k).values()))
+        dprime = visibility(gram[0], kappa, [own], [first[k]])
+        out.append(Screened(each, float(logsumexp(table[:, k])), values, dprime))
     return sorted(out, key=lambda each: -each.log_evidence)
 
 
 def refined(log: EngineLog, effects: Sequence[Candidate], values: np.ndarray) -> Cause:
     """The cause of some effects, from ``values`` (p,); raises Diverged where the simulation runs away there."""
-    effects = tuple(effects)
-    mean, sd, low, high = _priors(log, effects)
-    low, high = (
-        np.maximum(low, mean - log.rules.residual.max_prior_sds * sd),
-        np.minimum(high, mean + log.rules.residual.max_prior_sds * sd),
-    )
-    best = _about(log, effects, np.clip(values, low, high))
+    unknowns = unknowns_of(log, effects)
+    known = np.where(np.isfinite(values), values, unknowns.mean)
+    best = _about(log, tuple(effects), unknowns, unknowns.within(known))
     for _ in range(FIXED.engine_rounds if len(values) else 0):
         # Where the most probable size is settled, without a residual there may be a sharper estimate.
-        for size in dict.fromkeys((best.likely(log), 0)):
-            better = _better(log, best, np.clip(best.by_size_values[size], low, high), best.by_size_sds[size])
+        for size in dict.fromkeys((best.likely, 0)):
+            target = unknowns.within(best.by_size_values[size])
+            better = _better(log, best, target, best.by_size_sds[size])
             if better is not None:
                 break
         else:
             break
         best = better
-    return replace(best, values=np.clip(best.values, low, high))
+    return best
 
 
 def _better(log: EngineLog, cause: Cause, target: np.ndarray, sds: np.ndarray) -> Cause | None:
@@ -226,30 +211,40 @@ def _better(log: EngineLog, cause: Cause, target: np.ndarray, sds: np.ndarray) -
         return None
     for half in range(FIXED.engine_shorter):
         try:
-            tried = _about(log, cause.effects, cause.point + step / 4**half)
+            tried = _about(log, cause.effects, cause.unknowns, cause.point + step / 4**half)
         except Diverged:
             continue
-        if tried.log_evidence(log) > cause.log_evidence(log) + FIXED.engine_gain:
+        if tried.log_evidence > cause.log_evidence + FIXED.engine_gain:
             return tried
     return None
 
 
-def _about(log: EngineLog, effects: tuple[Candidate, ...], values: np.ndarray) -> Cause:
+def _about(log: EngineLog, effects: tuple[Candidate, ...], unknowns: Unknowns, point: np.ndarray) -> Cause:
     """The cause about some values of its numbers."""
-    mean, sd, low, high = _priors(log, effects)
-    filtered = filtered_with(log, effects, values)
-    columns = filtered.columns(_columns(log, effects, values, sd, filtered))
-    index = 1 + np.arange(len(values))[None]
-    prior = ((mean - values)[None], sd[None], (low - values)[None], (high - values)[None])
-    results = _regressed(log, filtered, columns, index, prior)
-    by_size = np.array([float(each.log_evidence[0]) for each in results])
-    kappa = np.array([float(each.kappa[0]) for each in results])
-    each_values = values + np.nan_to_num([each.mean[0] for each in results])
-    covariances = np.array([each.covariance[0] for each in results])
-    sds = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
-    here = int((by_size + log.regime.log_prior).argmax())
+    filtered = filtered_with(log, effects, point)
+    columns = filtered.columns(_columns(log, effects, unknowns, point, filtered))
+    gram, log_det = _gram(filtered, columns), filtered.log_det.sum(-1)
+    results = evidences(gram, log_det, log.count, [], [], unknowns, point)
+
+    by_size = np.array([each.log_evidence[-1] for each in results]) + log.regime.log_prior
+    kappa = np.array([each.kappa[-1] for each in results])
+    each_values = point + np.nan_to_num([each.mean[-1] for each in results])
+    covariances = np.array([each.covariance[-1] for each in results])
+    here = int(by_size.argmax())
+    values = unknowns.within(each_values[here])
     return Cause(
-        *(effects, values, each_values[here], covariances[here], each_values, sds, mean, sd, by_size, kappa),
+        effects,
+        unknowns,
+        point,
+        values,
+        covariances[here],
+        each_values,
+        np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1)),
+        float(logsumexp(by_size)),
+        by_size,
+        kappa,
         filtered,
         columns,
+        learned(covariances[here], unknowns.sd),
+        0.5 * float((((values - unknowns.mean) / unknowns.sd) ** 2).sum()),
     )

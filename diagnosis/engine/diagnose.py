@@ -1,20 +1,22 @@
 """Diagnose a robot's log by MuJoCo's own engine: contacts, tendons, muscles, closed loops; the result is the usual one.
 
-The commands are known. :mod:`.problem` binds the log, :mod:`.search` looks for causes among :data:`.effects.EFFECTS`,
-and here they become a :class:`.Diagnosis`: probabilities, intervals, what of the gap closes on rows that the numbers
-have not seen, and where the gap lies.
+The commands are known. :mod:`.problem` binds the log, :mod:`.search` looks for causes among the effects of
+:mod:`..catalogue.engine_effects`, and here they become a :class:`.Diagnosis`: probabilities, intervals, what of the gap
+closes on rows that the numbers have not seen, and where the gap lies.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 
-from invdyn.diagnosis.assessment.assemble import ambiguous, nothing_to_say, rms_of
+from invdyn.diagnosis.assessment.assemble import ambiguous, described, nothing_to_say, rms_of
 from invdyn.diagnosis.assessment.findings import estimate, tempered_covariance
 from invdyn.diagnosis.assessment.gap_closure import Closed, closed
+from invdyn.diagnosis.assessment.model_posterior import too_small, weigh_by_sizes
 from invdyn.diagnosis.assessment.result import (
     REFUSED,
     UNCHECKED,
@@ -29,20 +31,19 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.assessment.result import Cause as Answer
 from invdyn.diagnosis.assessment.tracks import Tracks
-from invdyn.diagnosis.catalogue.entry import CatalogueEntry
+from invdyn.diagnosis.catalogue.engine_effects import EFFECTS, candidates
 from invdyn.diagnosis.check.before import check_numbers
 from invdyn.diagnosis.check.check import BY_TORQUES
 from invdyn.diagnosis.engine.causes import Cause, filtered_with
 from invdyn.diagnosis.engine.cubature_filter import Filtered
-from invdyn.diagnosis.engine.effects import EFFECTS, candidates
 from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at, sensed
-from invdyn.diagnosis.engine.search import Found, search
+from invdyn.diagnosis.engine.search import search
+from invdyn.diagnosis.hypotheses.pool import HypothesisPool
 from invdyn.diagnosis.prediction.predict import Scores
-from invdyn.diagnosis.problem.prior import tempered
+from invdyn.diagnosis.problem.cause import best_size
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import Scene
 from invdyn.models.divergence import Diverged
-from invdyn.models.effects.base import Effect
 from invdyn.models.engine.drives import turning_dofs
 from invdyn.recordings import InputError, Recording
 
@@ -120,13 +121,17 @@ def _checked(recordings: Sequence[Recording], scene: Scene, force: bool, rules: 
     return said
 
 
-def _assembled(log: EngineLog, found: Found, seed: int, other: EngineLog | None) -> Diagnosis:
-    scene, rules, best, none = log.model.scene, log.rules, found.best, found.none
+def _assembled(log: EngineLog, found: HypothesisPool, seed: int, other: EngineLog | None) -> Diagnosis:
+    scene, rules, weighed = log.model.scene, log.rules, weigh_by_sizes(found)
+    none: Any = found.pool[""]
+    best: Any = weighed.best
+    first: Any = found.first
     joints = log.model.inputs.names
     shares = _closed(log, none, best, seed, other)
     before, after = _residual(log, none), _residual(log, best)
-    large = none.size(log) > rules.evidence.tolerance
-    answers, outside, probability = _answers(log, found, large, seed)
+    probability, large = 1 - weighed.causes[""][1], best_size(log, none) > rules.evidence.tolerance
+    weighed = weighed if large else too_small(weighed)
+    answers = described(weighed, lambda cause: _findings(log, cause, found.temper_within(), seed), rules)
     rivals = ambiguous(answers, rules)
     share = (before[0] ** 2).mean(0) / log.typical**2
     located = dict(zip(joints, (share / max(share.sum(), 1e-300)).tolist(), strict=True))
@@ -156,79 +161,52 @@ def _assembled(log: EngineLog, found: Found, seed: int, other: EngineLog | None)
         link_names=scene.link_names,
         causes=answers,
         ambiguity_set=(rivals,) if rivals else (),
-        separating_experiment=_experiment(found),
-        outside=Outside(outside),
+        separating_experiment=_experiment(answers),
+        outside=Outside(weighed.outside),
         not_identifiable=tuple(
-            sorted(each.effect.key for each in found.first if each.dprime < rules.evidence.min_dprime
+            sorted(each.effect.key for each in first if each.dprime < rules.evidence.min_dprime
                    and each.effect.key not in seen)
         ),
         tracks=_tracks(log, none, best, before, after),
-        screened=tuple((each.effect.key, each.log_evidence - none.log_evidence(log)) for each in found.first),
-        visibility=tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in found.first),
+        screened=tuple((each.effect.key, each.log_evidence - none.log_evidence) for each in first),
+        visibility=tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in first),
         rules=rules,
     )  # fmt: skip
 
 
-def _answers(log: EngineLog, found: Found, large: bool, seed: int) -> tuple[tuple[Answer, ...], float, float]:
-    """Causes, most probable first; the probability of what no effect is, and that of a gap.
-
-    Where the gap is not ``large``, nothing is left next to a cause.
-    """
-    evidence = log.rules.evidence
-    alone, in_part, outside, probability = found.alone, found.in_part, found.outside, 1 - found.alone[""]
-    if not large:
-        alone = {key: value + in_part[key] for key, value in alone.items()}
-        in_part, outside, probability = dict.fromkeys(alone, 0.0), 0.0, 1 - alone[""]
-    within = tempered(found.best.log_evidence(log) - found.none.log_evidence(log), evidence.temper_scale_within)
-    answers = [
-        Answer(
-            tuple(_findings(log, cause, within, seed)),
-            alone[cause.key],
-            cause.log_evidence(log),
-            float("nan"),
-            in_part[cause.key],
-        )
-        for cause in found.causes
-        if alone[cause.key] + in_part[cause.key] > evidence.min_probability or cause is found.best
-    ]
-    return tuple(sorted(answers, key=lambda each: (-each.probability, -each.in_part))), outside, probability
-
-
 def _residual(log: EngineLog, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
     """Mean and sd (T, K) of the residual torque under the most probable size."""
-    size, width = cause.likely(log), log.model.inputs.size
+    size, width = cause.likely, log.model.inputs.size
     return cause.filtered.mean[size, :, :width], cause.filtered.sd[size, :, :width]
 
 
 def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Finding]:
     """Effects with intervals of draws, Gaussian, tempered, within bounds."""
-    rng, draws = np.random.default_rng(seed), np.zeros((log.rules.outcome.num_interval_draws, 0))
-    if cause.effects:
-        covariance = tempered_covariance(cause.covariance, cause.prior_sd, temper)
-        draws = rng.multivariate_normal(cause.values, covariance, log.rules.outcome.num_interval_draws, method="eigh")
+    if not cause.effects:
+        return []
+
+    covariance, count = tempered_covariance(cause.covariance, cause.unknowns.sd, temper), log.rules.outcome
+    draws = np.random.default_rng(seed).multivariate_normal(
+        cause.values, covariance, count.num_interval_draws, method="eigh"
+    )
+    draws = cause.unknowns.within(draws)
     found, at = [], 0
     for each in cause.effects:
         numbers, parameters, changes = each.effect.numbers, {}, {}
         for number, unit_of in zip(numbers, each.units(log.model.scene.model), strict=True):
-            own = np.clip(draws[:, at], number.low, number.high)
-            e = replace(estimate(own, unit_of, float(own.std() / cause.prior_sd[at])), mean=float(cause.values[at]))
-            parameters[number.name], changes[number.name] = e, Change(float(cause.prior_mean[at]), e)
+            own = draws[:, at]
+            e = replace(estimate(own, unit_of, float(own.std() / cause.unknowns.sd[at])), mean=float(cause.values[at]))
+            parameters[number.name], changes[number.name] = e, Change(float(cause.unknowns.mean[at]), e)
             at += 1
-        entry = CatalogueEntry(
-            Effect,  # type: ignore[type-abstract]  # MuJoCo plays it: of the entry its words alone are used
-            phrase=each.effect.words, meaning=each.effect.meaning, shown_by=each.effect.shown_by,
-            body_file_fields={number.name: number.name for number in numbers},
-            preposition="of" if each.place.kind in ("tendon", "link", "actuator") else "at",
-        )  # fmt: skip
         where = {each.place.kind: each.place.name}
-        found.append(Finding(each.name, "dynamics", where, parameters, changes, entry))
+        found.append(Finding(each.name, "dynamics", where, parameters, changes, each.effect.entry(each.place)))
     return found
 
 
-def _experiment(found: Found) -> str | None:
+def _experiment(causes: Sequence[Answer]) -> str | None:
     """Recordings that tell the most probable causes apart."""
-    likely = [each for each in found.causes if found.alone[each.key] + found.in_part[each.key] > 0.05 and each.effects]
-    wanted = list(dict.fromkeys(effect.effect.shown_by for each in likely for effect in each.effects))
+    likely = [each for each in causes if each.effects and each.probability + each.in_part > 0.05]
+    wanted = dict.fromkeys(own.entry.shown_by for each in likely for own in each.effects if own.entry)
     return f"Record {'; and '.join(wanted)}." if len(likely) > 1 else None
 
 
@@ -238,13 +216,12 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
     first = int(log.rules.outcome.fit_share * count) if other is None else 0
     rows = np.arange(len(there.observations)) >= first
     values = _values_given_first_rows(best, first, kappa) if first and best.effects else best.values
-    low, high = (np.array([getattr(n, end) for e in best.effects for n in e.effect.numbers]) for end in ("low", "high"))
     try:
         before = none.filtered if other is None else filtered_with(there, (), none.values)
     except Diverged as error:
         raise InputError(f"{there.recording.name}: {error}: it is not held-out data of the same robot") from error
     try:
-        after = filtered_with(there, best.effects, np.clip(values, low, high)) if best.effects else before
+        after = filtered_with(there, best.effects, best.unknowns.within(values)) if best.effects else before
     except Diverged:
         after = before  # with these numbers the simulation cannot follow, and closes nothing
     nothing, with_cause = (_scores(there, each, each.innovations[0], kappa) for each in (before, after))
@@ -258,8 +235,8 @@ def _closed(log: EngineLog, none: Cause, best: Cause, seed: int, other: EngineLo
 def _values_given_first_rows(cause: Cause, first: int, kappa: float) -> np.ndarray:
     """A cause's numbers (p,) by its first rows alone."""
     A, b = cause.columns[0][:first].reshape(-1, len(cause.point)), cause.filtered.innovations[0][:first].ravel()
-    precision = A.T @ A / kappa**2 + np.diag(cause.prior_sd**-2)
-    right = (cause.prior_mean - cause.point) / cause.prior_sd**2 - A.T @ b / kappa**2
+    precision = A.T @ A / kappa**2 + np.diag(cause.unknowns.sd**-2)
+    right = (cause.unknowns.mean - cause.point) / cause.unknowns.sd**2 - A.T @ b / kappa**2
     return np.asarray(cause.point + np.linalg.solve(precision, right))
 
 
@@ -280,7 +257,7 @@ def _tracks(
 ) -> Tracks:
     """What figures show; replays are left out."""
     rows = len(log.observations)
-    states = torch.as_tensor(best.filtered.mean[best.likely(log)])
+    states = torch.as_tensor(best.filtered.mean[best.likely])
     _, tangent, velocity, _ = log.model.split(states)
     # Coordinates of the residual's joints, which are all.
     missing = np.full((rows, 0, log.model.scene.dimensions), np.nan)
@@ -312,14 +289,14 @@ def _engine(reasons: Sequence[str]) -> str:
 
 
 def _method(
-    log: EngineLog, found: Found, candidates: int, reasons: Sequence[str], rows: int, last: bool, untold: bool
+    log: EngineLog, found: HypothesisPool, candidates: int, reasons: Sequence[str], rows: int, last: bool, untold: bool
 ) -> dict[str, str]:
     used, where = len(log.observations), "the last third of the rows" if last else "another recording"
     untold = untold and bool(found.best.effects)
     return {
         "engine": _engine(reasons),
         "rows": f"the first {used} of {rows} rows" if used < rows else f"{used} rows",
-        "candidates": f"{candidates} effects at their places; {len(found.causes)} causes refined",
+        "candidates": f"{candidates} effects at their places; {len(found.pool)} causes refined",
         "evidence": "by cubature Kalman filters, each about its own numbers; the residual torque's size integrated "
         "out, noise scale at its most probable",
         "held out": where + ", in which no more than chance is missing: record what shows the cause" * untold,

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from invdyn.diagnosis.catalogue.engine_sizes import Sizes
+from invdyn.diagnosis.catalogue.model_numbers import HINGE, Pair
 from invdyn.diagnosis.engine.cubature_filter import cubature_filter
-from invdyn.diagnosis.engine.sizes import Sizes
 from invdyn.diagnosis.problem.regime import Regime, regimes
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
-from invdyn.diagnosis.write_back.model_numbers import HINGE, Pair
 from invdyn.inference.posterior.engine_problem import engine_problem
 from invdyn.models import EngineModel, Scene
 from invdyn.models.engine.contacts import touching_pairs

@@ -14,14 +14,14 @@ import numpy as np
 import torch
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Finding, Written
+from invdyn.diagnosis.catalogue.engine_effects import EFFECTS, SEVERAL, Candidate, contacts, pair_name
+from invdyn.diagnosis.catalogue.model_numbers import Place, changed
 from invdyn.diagnosis.engine.cubature_filter import cubature_filter
-from invdyn.diagnosis.engine.effects import EFFECTS, SEVERAL, Candidate, contacts, pair_name
 from invdyn.diagnosis.engine.problem import EngineLog, engine_log, looked_at
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.diagnosis.write_back.changes import FileChange, comment_of
 from invdyn.diagnosis.write_back.ensemble import Copy, drawn
 from invdyn.diagnosis.write_back.mjcf_writer import Writer
-from invdyn.diagnosis.write_back.model_numbers import Place, changed
 from invdyn.diagnosis.write_back.write_back import best, replayed
 from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import Scene

@@ -8,11 +8,11 @@ import numpy as np
 from torch import Tensor
 
 from invdyn.diagnosis.catalogue import CatalogueEntry
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.cause import FittedHypothesis, Scored
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_outlier
 from invdyn.diagnosis.problem.prior import another, log_prior_of, statements, tempered
-from invdyn.diagnosis.problem.regime import regimes
+from invdyn.diagnosis.problem.regime import Regime
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.diagnosis.sensitivity.screen import Screened
 from invdyn.diagnosis.side_by_side import side_by_side
@@ -82,9 +82,9 @@ class HypothesisPool:
         rest = log(another(self.count(cause), self.rules)) if self.leaves(cause) else 0.0
         return outliers + beyond + self.log_prior(cause.effects) + rest
 
-    def leaves(self, cause: FittedHypothesis) -> bool:
+    def leaves(self, cause: Scored) -> bool:
         """Whether a residual gains evidence beyond chance with a cause."""
-        return leaves(cause, self.pool[""], self.rules)
+        return leaves(cause, self.pool[""], self.problem.regime, self.rules)
 
     def log_prior(self, effects: Sequence[Effect]) -> float:
         """Log prior probability of a cause of these effects."""
@@ -137,14 +137,14 @@ def others(cause: FittedHypothesis) -> list[Effect]:
     return [effect for effect in cause.effects if not is_outlier(effect)]
 
 
-def leaves(cause: FittedHypothesis, none: FittedHypothesis, rules: Rules = DEFAULT) -> bool:
+def leaves(cause: Scored, none: Scored, regime: Regime, rules: Rules = DEFAULT) -> bool:
     """Whether a residual gains more evidence with a cause than chance, and than a share² of that with ``none``.
 
     A limb's own torque is always left, and no cause by itself leaves what no cause explains.
     """
-    prior = regimes(rules)["commanded"].log_prior
-    if not cause.effects or len(cause.by_size) != len(prior):
+    if not cause.effects or not regime.knows_torque:
         return False
+    prior = regime.log_prior
     left, gap = (float(np.max(each.by_size - prior) - (each.by_size - prior)[0]) for each in (cause, none))
     return left > rules.residual.min_residual_gain + rules.residual.max_share_left**2 * gap
 

@@ -5,6 +5,7 @@ Shapes: p parameters, T rows, states of D coordinates, G sizes of the residual.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,8 +17,32 @@ from invdyn.models import ArmModel
 from invdyn.models.effects.base import PREFIX, Effect
 
 
+class Scored:
+    """What ranks a cause, whichever engine moves it; see :class:`FittedHypothesis`."""
+
+    effects: tuple[Any, ...]
+    log_evidence: float
+    by_size: np.ndarray
+    learned: np.ndarray
+    far: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether the cause does without a residual torque."""
+        return int(self.by_size.argmax()) == 0
+
+    @property
+    def key(self) -> str:
+        """Keys of the effects, sorted and joined; "" for none."""
+        return key_of(self.effects)
+
+    def log_evidence_at(self, temper: float) -> float:
+        """Log evidence where the likelihood, and not the parameters' prior, is raised to a power; see :mod:`.prior`."""
+        return coarsened(self.log_evidence, self.learned, self.far, temper)
+
+
 @dataclass(frozen=True)
-class FittedHypothesis:
+class FittedHypothesis(Scored):
     """A cause, one or several effects together, with its parameters' posterior.
 
     Attributes:
@@ -59,11 +84,6 @@ class FittedHypothesis:
     far: float = 0.0
 
     @property
-    def complete(self) -> bool:
-        """Whether the cause does without a residual torque."""
-        return int(self.by_size.argmax()) == 0
-
-    @property
     def sd(self) -> np.ndarray:
         """Standard deviations (p,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -77,15 +97,6 @@ class FittedHypothesis:
     def sds(self) -> dict[str, float]:
         """Standard deviations of :attr:`values`, where they are known."""
         return dict(zip(self.names, self.sd.tolist(), strict=True)) | self.noise_sd
-
-    @property
-    def key(self) -> str:
-        """Keys of the effects, sorted and joined; "" for none."""
-        return key_of(self.effects)
-
-    def log_evidence_at(self, temper: float) -> float:
-        """Log evidence where the likelihood, and not the parameters' prior, is raised to a power; see :mod:`.prior`."""
-        return coarsened(self.log_evidence, self.learned, self.far, temper)
 
     @property
     def searched(self) -> dict:
@@ -136,8 +147,8 @@ class FittedHypothesis:
         return theirs.with_effects(*self.effects).replace(**values)
 
 
-def best_size(problem: DiagnosisProblem, cause: FittedHypothesis) -> float:
-    """The residual's size that a cause has the highest evidence with."""
+def best_size(problem: Any, cause: Scored) -> float:
+    """The residual's size that a cause has the highest evidence with, of those in the problem's regime."""
     return float(problem.regime.sizes[int(cause.by_size.argmax())])
 
 

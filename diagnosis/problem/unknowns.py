@@ -35,7 +35,11 @@ class Unknowns:
         """``target`` (p,) within bounds, and a positive parameter no less than half of what it is at ``point``."""
         positive = np.array([isinstance(prior, LogNormal) for prior in self.priors], dtype=bool)
         target = np.where(positive, np.maximum(target, point / 2), target)
-        return np.clip(target, self.lower, self.upper)
+        return self.within(target)
+
+    def within(self, values: np.ndarray) -> np.ndarray:
+        """``values`` (p,) within bounds."""
+        return np.clip(values, self.lower, self.upper)
 
     def log_prior(self, values: torch.Tensor) -> torch.Tensor:
         """Log prior density (S,) of values (S, p)."""

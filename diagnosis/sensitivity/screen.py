@@ -22,7 +22,7 @@ from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.bursts import burst_products
 from invdyn.diagnosis.sensitivity.evidence import Regression, regression
 from invdyn.diagnosis.sensitivity.sensitivities import Columns, Hypothesis, hypotheses, slopes, spans, unchanged
-from invdyn.diagnosis.sensitivity.whiten import Whitened, filter_of, linear_of, products
+from invdyn.diagnosis.sensitivity.whiten import filter_of, linear_of, products
 from invdyn.diagnosis.side_by_side import side_by_side
 from invdyn.inference.smoothing.linearisation import Linearisation
 from invdyn.models import ArmModel
@@ -109,11 +109,23 @@ def stacked(pieces: Sequence[Columns]) -> Columns:
 
 
 def evidences(
-    whitened: Whitened, found: Sequence[Hypothesis], first: Sequence[int], common: Unknowns, point: np.ndarray
+    grams: np.ndarray,
+    log_det: np.ndarray,
+    count: int,
+    found: Sequence[Hypothesis],
+    first: Sequence[int],
+    common: Unknowns,
+    point: np.ndarray,
 ) -> list[Regression]:
     """Regression of every hypothesis, one result per size; hypothesis −1 (the last) is "no effect".
 
-    The last columns belong to the unknowns that all hypotheses have in ``common``, expanded about ``point``.
+    Args:
+        grams: (G, 1 + J, 1 + J) products of data and columns for each size.
+        log_det: (G,) Σ ½ log |S_t|.
+        count: numbers that were seen.
+        found, first: hypotheses, and the first column of each.
+        common: unknowns of all hypotheses, to which the last columns belong.
+        point: where these stand.
     """
     shared = len(common.names)
     own = max((len(h.free) for h in found), default=0)
@@ -127,12 +139,12 @@ def evidences(
         index[i, :n] = 1 + start + np.array(h.columns)
         offset[i] = 0 if h.offset is None else 1 + start + h.offset
         sd[i, :n], lower[i, :n], upper[i, :n] = h.sd, h.lower, h.upper
-    index[:, own:] = whitened.gram.shape[-1] - shared + np.arange(shared)
+    index[:, own:] = grams.shape[-1] - shared + np.arange(shared)
     mean[:, own:], sd[:, own:] = common.mean - point, common.sd
     lower[:, own:], upper[:, own:] = common.lower - point, common.upper - point
     return [
-        regression(gram, index, offset, mean, sd, lower, upper, whitened.count, log_det)
-        for gram, log_det in zip(whitened.gram, whitened.log_det, strict=True)
+        regression(gram, index, offset, mean, sd, lower, upper, count, own_log_det)
+        for gram, own_log_det in zip(grams, log_det, strict=True)
     ]
 
 
@@ -183,7 +195,7 @@ def _own(hypothesis: Hypothesis, start: int) -> np.ndarray:
     return start + np.array([*added, *hypothesis.columns])
 
 
-def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
+def visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], first: Sequence[int]) -> float:
     """d′ of the most visible parameter at two thirds of its prior's sd, or of an offset."""
     largest = 0.0
     for hypothesis, start in zip(mine, first, strict=True):
@@ -197,7 +209,7 @@ def _visibility(gram: np.ndarray, kappa: float, mine: Sequence[Hypothesis], firs
     return largest / kappa
 
 
-def _estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[str, float]:
+def estimates(hypothesis: Hypothesis, result: Regression, number: int) -> dict[str, float]:
     """All parameters at a grid point, those that are free moved to where the regression has them, within bounds."""
     values = dict(hypothesis.point)
     for i, name in enumerate(hypothesis.free):
@@ -252,7 +264,7 @@ def screen(
         columns = stacked([*pieces, rest])
         problem.budget.spend(FIXED.column_cost * columns.g.shape[-1], model, len(path))
         whitened = products(problem, about, columns, [slice(1 + o[0], 2 + o[-1]) for o in own])
-        results = evidences(whitened, found, first, common, point)
+        results = evidences(whitened.gram, whitened.log_det, whitened.count, found, first, common, point)
         table = np.stack([r.log_evidence for r in results]) + weights[:, None]  # (G, H)
         none = table[:, -1]
         likely = int(none.argmax())
@@ -271,10 +283,10 @@ def screen(
                     float(logsumexp(part)),
                     best,
                     Columns(columns.g[..., own[mine[place]]], columns.d[..., own[mine[place]]]),
-                    _estimates(best, results[size], mine[place]),
-                    None if other is None else _estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
+                    estimates(best, results[size], mine[place]),
+                    None if other is None else estimates(found[mine[other[1]]], results[other[0]], mine[other[1]]),
                     float(levels[size]),
-                    _visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
+                    visibility(shown, kappa, [found[i] for i in mine], [first[i] for i in mine]),
                     path,
                 )
             )

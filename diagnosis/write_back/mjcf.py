@@ -20,11 +20,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invdyn.diagnosis.catalogue import model_numbers as own
+from invdyn.diagnosis.catalogue.model_numbers import Place
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back import model_numbers as own
 from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, SERVO_DAMPING, ZERO, FileChange, comment_of
 from invdyn.diagnosis.write_back.mjcf_writer import INCLUDED, Writer
-from invdyn.diagnosis.write_back.model_numbers import Place
 from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.joint_parts import NOTHING, JointParts

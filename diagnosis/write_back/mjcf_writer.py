@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.diagnosis.catalogue.model_numbers import HINGE
 from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.mjcf_elements import Elements
-from invdyn.diagnosis.write_back.model_numbers import HINGE
 from invdyn.diagnosis.write_back.xml_text import Element
 
 Attributes = dict[str, str | None]

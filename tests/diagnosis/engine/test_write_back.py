@@ -11,11 +11,11 @@ import pytest
 from robot_xml import Older
 
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding
-from invdyn.diagnosis.engine.effects import EFFECTS, candidates
-from invdyn.diagnosis.engine.sizes import Sizes
+from invdyn.diagnosis.catalogue.engine_effects import EFFECTS, candidates
+from invdyn.diagnosis.catalogue.engine_sizes import Sizes
+from invdyn.diagnosis.catalogue.model_numbers import FRICTION, Place, changed, write_mass
 from invdyn.diagnosis.engine.write_back import candidate_of, rewritten
 from invdyn.diagnosis.write_back.mjcf_writer import DAMPING, FROM_GEOMS, SERVO, Writer
-from invdyn.diagnosis.write_back.model_numbers import FRICTION, Place, changed, write_mass
 from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import Scene
 

@@ -10,7 +10,7 @@ from pendulum import LOOSE, PENDULUM, recording_of
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.refine import refine
 from invdyn.diagnosis.problem.diagnosis_problem import diagnosis_problem
-from invdyn.diagnosis.problem.regime import COMMANDED
+from invdyn.diagnosis.problem.regime import COMMANDED, UNKNOWN_TORQUE
 
 
 def pool(**evidence):
@@ -68,7 +68,8 @@ def test_a_single_effect_that_surely_leaves_something_gives_way_to_two_that_leav
     found.pool[single.key] = left(single, 16.0)  # more than five, and a hundredth of what none leaves
     assert found.leaves(found.pool[single.key])
     assert not found.leaves(found.pool[none.key])
-    assert not found.leaves(replace(single, by_size=np.r_[np.zeros(14), 9e3]))
+    unknown = replace(found, problem=replace(found.problem, regime=UNKNOWN_TORQUE))
+    assert not unknown.leaves(replace(single, by_size=np.r_[np.zeros(14), 9e3]))
     assert found.score(found.pool[single.key]) == pytest.approx(before + np.log(0.08 / 0.5))
     assert found.ranked[0].key == both.key
 

@@ -350,5 +350,5 @@ def test_a_slow_motor_still_does_what_it_was_told_before_the_recording():
     cause = refine(here, (lag,), {"actuator_lag.time_constant": 0.3}, path, LOOSE)
     assert cause.log_evidence > none.log_evidence + 50
     assert cause.complete
-    assert not leaves(cause, none)
+    assert not leaves(cause, none, here.regime)
     assert abs(cause.mean[0] - 0.3) < 3 * cause.sd[0]
