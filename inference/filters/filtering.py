@@ -17,7 +17,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation, genealogy
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.defended import Defended, look_ahead
-from invdyn.inference.filters.iterated import iterate
+from invdyn.inference.filters.iterated import iterate, refitted_over_paths
 from invdyn.inference.filters.moment_matching import moment_matched
 from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
@@ -101,7 +101,8 @@ def adapted(
     """A smoother with factors refitted on pilot runs (:mod:`.iterated`), and the log-evidences (M,) of its own, if any.
 
     The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
-    guides the steadier filters; of a model with kinks there is one, which is not refitted. A bootstrap run ``blind``
+    guides the steadier filters; of a model with kinks there is one, which is fitted again over pilots' paths. A
+    bootstrap run ``blind``
     that kept all rows gives a second path to begin at, its most probable, and points to refit on: where log p(x, y)
     has many modes a search from afar ends in any.
     Dynamics that are not Gaussian are taken for their approximation (:mod:`.moment_matching`) but in the pilots'
@@ -110,8 +111,7 @@ def adapted(
     gaussian = moment_matched(model)
     starts = [start] if blind is None else [start, most_probable_line(model, observations, blind)]
     smoothers = [each for begin in starts for each in linearised(gaussian, observations, begin)]
-    # Quadratics that are fitted across a kink are worse than the smoother's.
-    if options.refits == 0 or options.num_filters == 1 or model.nonsmooth:
+    if options.refits == 0 or options.num_filters == 1:
         return max(smoothers[1::2], key=lambda each: float(each.log_joint)), None
 
     # Enough particles to fit a quadratic to, and no more than memory holds for every row.
@@ -122,6 +122,8 @@ def adapted(
         return run_filters(model, observations, few, smoother=smoother)
 
     seen = [] if blind is None else [blind]
+    if model.nonsmooth:
+        return refitted_over_paths(gaussian, observations, smoothers[1::2], pilot, options.refits)
     return iterate(gaussian, observations, smoothers, pilot, iterations=options.refits, results=seen)
 
 

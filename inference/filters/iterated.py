@@ -32,10 +32,12 @@ import torch
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, evidence, exceeds
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.posterior_linearisation import fit_linear, recentred_on_mean
 from invdyn.inference.smoothing.square_root import conditional, eliminate, log_abs_det
 from invdyn.models.divergence import Singular, diverging
 from invdyn.models.observation.missing import observed_log_prob
@@ -46,6 +48,8 @@ FLOOR = 1e-4  # of a refitted precision, in units of the particles' own: flat, b
 EXACT = 1e-6  # nats: a smaller correction is rounding
 
 
+LINES, RISE = 16, 0.5
+"""Ancestral lines of each filter; nats under which a pilot is not higher than the one before."""
 STEADY = 0.05
 """Standard deviation of log Ẑ, nats, that no refit need improve: the outer sampler then has 99.8 % of its filters."""
 
@@ -106,6 +110,43 @@ def iterate(
     if _filter_sd(results[-1]) <= _filter_sd(first) and not exceeds(_found(first), _found(results[-1])):
         return latest, results[-1].log_evidence
     return start, first.log_evidence
+
+
+def refitted_over_paths(
+    model: StateSpaceModel,
+    observations: Tensor,
+    smoothers: Sequence[GaussianSmoother],
+    pilot: Callable[[GaussianSmoother], FilterResult],
+    iterations: int,
+) -> tuple[GaussianSmoother, Tensor]:
+    """As :func:`iterate`, of a model with kinks: across one a quadratic in V_t fits worse than the smoother's.
+
+    So the model is linearised again over the Gaussian of the paths that a pilot found, of which half count evenly and
+    half by their filters' weight, and half of whose covariance is the smoother's. Passes of a smoother alone settle on
+    one side of a kink. Of all pilots that none exceeds, the steadiest one's smoother is taken.
+    """
+    runs = [(smoother, pilot(smoother)) for smoother in smoothers]
+    smoother, result = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
+    model, rows = model.to(dtype=torch.float64, device="cpu"), observations.detach().cpu().double()
+    for _ in range(3 * iterations):
+        before = _found(result).log_evidence
+        paths = genealogy(result, LINES).cpu().double()
+        weight = 0.5 * result.log_evidence.cpu().double().softmax(0) + 0.5 / len(paths)
+        mean = torch.einsum("m,mrtd->td", weight / LINES, paths)
+        off = paths - mean
+        covariance = torch.einsum("m,mrtd,mrte->tde", weight / LINES, off, off)
+        try:
+            with diverging():
+                linear = fit_linear(model, rows, mean, (covariance + smoother.covariance()) / 2)
+                smoother = recentred_on_mean(model, rows, mean, linear, smoother.converged)
+            result = pilot(smoother)
+        except (SMCFailed, Singular):
+            break
+        runs.append((smoother, result))
+        if _found(result).log_evidence < before + RISE:
+            break
+    smoother, result = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
+    return smoother, result.log_evidence
 
 
 Run = tuple[GaussianSmoother, FilterResult]

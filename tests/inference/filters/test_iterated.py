@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from grids import grid_posterior
+from one_state import Autoregression
 from oracles import kalman, random_chain, with_gaps
 from pyro.distributions import Normal, StudentT
 
 from invdyn.inference import SMCOptions, gauss_newton, posterior_linearisation, run_filters
 from invdyn.inference.filters.filtering import adapted_smoother
-from invdyn.inference.filters.iterated import iterate, refit
+from invdyn.inference.filters.iterated import iterate, refit, refitted_over_paths
+from invdyn.inference.smoothing.statistical_homotopy import first_fit
 from invdyn.models import LinearGaussian, StateSpaceModel
 
 SMALL = SMCOptions(num_filters=32, num_particles=50, dtype=torch.float64)
@@ -145,3 +148,28 @@ def test_no_smoother_is_refused():
     model, y = heavy()
     with pytest.raises(ValueError, match="at least one smoother"):
         iterate(model, y, [], pilot(model, y))
+
+
+class Bouncing(Autoregression):
+    """Thrown back where it would fall below zero: the mean has a kink there."""
+
+    nonsmooth, rho, sd = True, 0.95, 0.3
+
+    def transition(self, state, t):
+        return Normal(self.rho * state.abs(), self.parameters["sd"]).to_event(1)
+
+
+def test_a_guide_that_is_fitted_over_paths_finds_what_a_wrong_one_misses():
+    model = Bouncing(30)
+    _, rows = model.simulate(seed=1)
+    exact = grid_posterior(model, rows, -4, 4).log_evidence
+    wrong = first_fit(model, rows, torch.full((30, 1), -2.0, dtype=torch.float64))
+
+    def pilot(smoother):
+        return run_filters(model, rows, SMCOptions(16, 50), smoother=smoother)
+
+    torch.manual_seed(0)
+    before = pilot(wrong).log_evidence
+    _, after = refitted_over_paths(model, rows, [wrong], pilot, 2)
+    assert float(after.std()) < 0.5 * float(before.std())
+    assert float(after.logsumexp(0)) - np.log(16) == pytest.approx(exact, abs=float(after.std()))
