@@ -117,13 +117,15 @@ def find(
     return _stated(fit, found, states, lefts[len(found)]), dropped
 
 
-def _order(small: bool, rival: tuple[float, Mistake]) -> tuple[bool, bool, float, tuple[int, ...]]:
+def _order(small: bool, rival: tuple[float, Mistake]) -> tuple[bool, bool, bool, float, tuple[int, ...]]:
     """Which of equally good mistakes is said first; of two that mirror each other, that of the joint nearer the base.
 
+    A gear of −1 that the file states is named before a sign that is nowhere written.
     Misfits are rounded: those of an arm and of its mirror image differ in the last digit alone.
     """
     misfit, mistake = rival
-    return small and mistake.kind == "degrees", mistake.kind in FITTED, round(misfit, 9), mistake.joints
+    degrees, joints = small and mistake.kind == "degrees", mistake.joints
+    return degrees, mistake.kind in FITTED, mistake.kind != "gear", round(misfit, 9), joints
 
 
 def _stated(fit: TorqueFit, found: Sequence[Found], states: Sequence[Motion], right: Explained) -> list[Found]:
