@@ -4,7 +4,7 @@ What a run holds at once is bounded from below, so that nothing is refused that 
 particles, R trajectories, T rows and a state of D ≥ 3 K numbers for K joints,
 
     particles     4 T m N (D + 2) bytes     every row's states, weights and ancestors, of one task, in float32;
-                                            in windows (:mod:`.windows`) of 2 √T rows
+                                            in windows (:mod:`.windows`) of 2 √T rows at least
     trajectories  8 · 2 T M R D bytes       of all filters, in float64, as drawn and as they are saved
 """
 

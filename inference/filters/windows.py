@@ -3,7 +3,7 @@
 Smoothing walks back through all rows' particles, 4 (D + 3) bytes each. Instead of these the particles of each window's
 first row are kept, with the state of the random numbers. Walking back, a window's rows are filtered once more from
 there, to the same bits (checkpointing: Griewank & Walther 2000, "Algorithm 799: revolve"). Of T rows in windows of W
-there are W + T/W rows of particles in memory, at least 2 √T, for twice the filter's time.
+there are 2 W + T/W rows of particles in memory, 3 √T with W = √T, for twice the filter's time.
 
 Shapes: M filters, N particles, T rows of D states.
 """
@@ -16,13 +16,13 @@ from typing import Any
 from invdyn.inference.execution.seeds import Stream
 from invdyn.inference.filters.particles import FilterResult, History
 
-WINDOW = 400e6
-"""Bytes of the particles of a window: what takes no more is kept whole, but for windows of √T rows."""
+WHOLE = 400e6
+"""Bytes of all rows' particles up to which they are kept."""
 
 
 def window_rows(rows: int, particles: int, dim: int) -> int:
     """Rows of a window, of so many ``particles`` of all filters; all ``rows`` where they are few enough."""
-    return min(rows, max(math.isqrt(rows), int(WINDOW / (4 * particles * (dim + 3)))))
+    return rows if 4 * rows * particles * (dim + 3) <= WHOLE else math.isqrt(rows)
 
 
 def in_windows(filters: Any, history: History, onward: Callable[..., Any], rows: int, size: int) -> FilterResult:

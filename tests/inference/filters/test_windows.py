@@ -29,7 +29,7 @@ def chain():
 @pytest.mark.parametrize("guided", [False, True])
 def test_windows_have_the_bits_of_the_whole(monkeypatch, guided):
     """Evidence, ancestral lines, simulated paths, and again: what is made once more stays the same."""
-    monkeypatch.setattr(windows, "WINDOW", 0)
+    monkeypatch.setattr(windows, "WHOLE", 0)
     model, y = chain()
     y[7:9] = torch.nan
     guide = Controlled(model, y, gauss_newton(model, y)) if guided else Bootstrap(model)
@@ -49,8 +49,7 @@ def test_windows_have_the_bits_of_the_whole(monkeypatch, guided):
             assert torch.equal(found[0][1], then)  # no random number more was drawn
 
 
-def test_a_window_is_no_shorter_than_the_rows_that_windows_begin_with(monkeypatch):
-    """Of 10,000 rows 100 at least; and as many as 400 MB hold, 4 (6 + 3) bytes a particle."""
-    assert window_rows(10_000, 32 * 100, 6) == 3472
-    assert window_rows(10_000, 10**9, 6) == 100
-    assert window_rows(500, 3200, 6) == 500
+def test_windows_have_the_root_of_all_rows_where_these_take_much():
+    """Of 10,000 rows 100 each; up to 400 MB are kept whole, 4 (6 + 3) bytes a particle."""
+    assert window_rows(10_000, 32 * 100, 6) == 100
+    assert window_rows(3472, 32 * 100, 6) == 3472
