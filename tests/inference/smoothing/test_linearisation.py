@@ -7,6 +7,7 @@ from stiff_arm import arm
 
 from invdyn.inference.smoothing import linearisation
 from invdyn.inference.smoothing.linearisation import deviations, emission_mean, log_joint, slopes_along
+from invdyn.inference.smoothing.posterior_linearisation import fit_linear
 from invdyn.inference.variational.affine import jacobian
 from invdyn.models import Keypoints, Matern32, Observation
 from invdyn.models.effects import EFFECTS
@@ -42,6 +43,23 @@ def test_slopes_are_tangents(batch, wide, digits, monkeypatch):
     torch.testing.assert_close(F, expected, rtol=10**-digits, atol=0.1 * 10**-digits)
     _, expected = jacobian(lambda x: emission_mean(model, x, rows), path, model.observation_dim)
     torch.testing.assert_close(H, expected, rtol=10**-digits, atol=0.1 * 10**-digits)
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_blocks_of_rows_have_the_lines_of_the_whole(batch, monkeypatch):
+    """Tangents and fits of a model whose steps differ in length, in blocks of few rows."""
+    model = arm(30, 0.003, dt=np.linspace(0.01, 0.04, 30))
+    torch.manual_seed(0)
+    path, y = model.simulate(batch)
+    y = y[0] if batch else y
+    wide = torch.diag(torch.tensor([1.0, 1.0, 0.01, 0.01, 0.1, 0.1], dtype=F64)).expand(*batch, 30, 6, 6)
+    found = []
+    for numbers in (1e9, 300):
+        monkeypatch.setattr(linearisation, "NUMBERS_AT_ONCE", int(numbers))
+        linear = fit_linear(model, y, path, wide)
+        found.append([*slopes_along(model, path), *map(torch.as_tensor, (linear.F, linear.a, linear.E, linear.V))])
+    for whole, blocks in zip(*found, strict=True):
+        torch.testing.assert_close(blocks, whole, rtol=1e-7, atol=1e-8)
 
 
 @pytest.mark.long
