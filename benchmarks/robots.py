@@ -32,8 +32,13 @@ from invdyn.inputs import load_body, read_logs
 from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.recordings import Recording, write_table
 
+SHAPED = ("stribeck_friction", "actuator_delay", "actuator_lag", "encoder_offset")
+"""Changes that are none of a model's numbers."""
 STEP, RATE, SECONDS = 2.5e-4, 100.0, 10.0
 DRY, INSIDE, TINY = 0.999, 0.9, 1e-9
+Sizes = tuple[float, ...]
+Played = tuple[np.ndarray, ...]
+"""Times (T,), angles and targets (T, K), and the rms of K (c − q), velocity and acceleration by joint (3, K)."""
 """Impedance of dry friction; share of the way to a joint's stops that targets go; an angle, rad, that is none."""
 CHANGES = {
     "none": "",
@@ -42,72 +47,85 @@ CHANGES = {
     "gain": "actuator_gain",
     "damping": "viscous_friction",
     "rotor": "armature",
+    "stribeck": "stribeck_friction",
+    "delay": "actuator_delay",
+    "lag": "actuator_lag",
+    "offset": "encoder_offset",
 }
 
 
-def played(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Times (T,), angles and targets (T, K), and the rms of K (c − q), velocity and acceleration by joint (3, K)."""
-    K, data = model.nv, mujoco.MjData(model)
+def played(model: mujoco.MjModel, rng: np.random.Generator, change: str = "", k: int = 0, size: Sizes = ()) -> Played:
+    """A log of a model, whose joint ``k`` has a ``change`` that is none of its numbers."""
+    K, data, at_rest = model.nv, mujoco.MjData(model), model.dof_frictionloss.copy()
     model.opt.timestep = STEP
     model.dof_solref[:], model.dof_solimp[:, :2] = (2 * STEP, 1.0), DRY
     middle = model.key_qpos[0] if model.nkey else np.where(model.jnt_limited, model.jnt_range.mean(1), 0.0)
     room = np.minimum(np.where(model.jnt_limited, np.ptp(model.jnt_range, 1) / 2, 2.0), 2.0)
     frequency, phase = rng.uniform(0.1, 0.7, (3, K)), rng.uniform(0, 2 * np.pi, (3, K))
-    size = rng.uniform(0.1, 0.25, (3, K)) * room / np.maximum(frequency / 0.3, 1)
+    wide = rng.uniform(0.1, 0.25, (3, K)) * room / np.maximum(frequency / 0.3, 1)
     own = [int(np.flatnonzero(model.actuator_trnid[:, 0] == k)[0]) for k in range(K)]
-
-    def wave(t: np.ndarray | float) -> np.ndarray:
-        angle = 2 * np.pi * frequency * np.asarray(t)[..., None, None] + phase
-        return np.asarray((size * (np.sin(angle) - np.sin(phase))).sum(-2))
-
-    whole = wave(np.arange(0, SECONDS, 1 / RATE))
+    time = np.arange(0, SECONDS, 1 / RATE)
+    angle = 2 * np.pi * frequency * time[:, None, None] + phase
+    wave = (wide * (np.sin(angle) - np.sin(phase))).sum(1)
     low, high = np.where(model.jnt_limited, model.jnt_range.T - middle, [[-np.inf], [np.inf]])
-    size *= np.minimum(
-        1.0, INSIDE * np.minimum(low / np.minimum(whole.min(0), -TINY), high / np.maximum(whole.max(0), TINY))
-    )
-
-    def target(t: float) -> np.ndarray:
-        return np.asarray(middle + wave(t))
-
-    data.qpos[:], rows = middle, []
-    for n in range(round(SECONDS * RATE)):
-        data.ctrl[own] = target(n / RATE)
-        rows.append((n / RATE, data.qpos.copy(), data.ctrl[own].copy()))
+    room = np.minimum(low / np.minimum(wave.min(0), -TINY), high / np.maximum(wave.max(0), TINY))
+    command = middle + wave * np.minimum(1.0, INSIDE * room)
+    data.qpos[:], seen, square, moments = middle, [], [], round(1 / RATE / STEP)
+    acting = command[0].copy()
+    for n, row in enumerate(command):
+        seen.append(data.qpos.copy())
         sizes = []
-        for _ in range(round(1 / RATE / STEP)):
+        for m in range(moments):
+            acting[:] = row
+            if change == "delay":
+                acting[k] = command[max(int(np.floor(n + (m + 0.5) / moments - size[0] * RATE)), 0), k]
+            if change == "offset":
+                acting[k] -= size[0]
+            slow = np.exp(-((data.qvel[k] / size[2]) ** 2)) if change == "stribeck" else 0.0
+            if change == "stribeck":
+                model.dof_frictionloss[k] = at_rest[k] + size[0] + (size[1] - size[0]) * slow
+            if change == "lag":
+                acting[k] = data.ctrl[own[k]] if n + m else row[k]
+                acting[k] += (row[k] - acting[k]) * -np.expm1(-STEP / size[0])
+            data.ctrl[own] = acting
             mujoco.mj_step(model, data)
             asked = (model.actuator_gainprm[:, 0] * (data.ctrl - data.actuator_length))[own]
             sizes.append((asked, data.qvel.copy(), data.qacc.copy()))
-        rows[-1] += (np.mean(np.square(sizes), 0),)
-    time, angle, command, square = (np.array(each) for each in zip(*rows, strict=True))
-    angle = angle + 2e-4 * rng.standard_normal(angle.shape)
-    return time, angle, command, np.sqrt(square.mean(0))
+        square.append(np.mean(np.square(sizes), 0))
+    shown = np.array(seen) + 2e-4 * rng.standard_normal(wave.shape)
+    shown[:, k] += size[0] if change == "offset" else 0.0
+    return time, shown, command, np.sqrt(np.mean(square, 0))
 
 
-def changed(model: mujoco.MjModel, change: str, k: int, sizes: np.ndarray) -> float:
-    """Change a number of a joint, by a share of its servo's K (c − q), or of its link, by .3 of itself; the new one."""
+def changed(model: mujoco.MjModel, change: str, k: int, sizes: np.ndarray) -> Sizes:
+    """Change a number of a joint, by a share of its servo's K (c − q), or of its link, by .3 of itself; the new one.
+
+    Of a change that is no number of a model, its numbers.
+    """
     torque, speed, acceleration = sizes[:, k]
     if change == "friction":
         model.dof_frictionloss[k] += 0.15 * torque
-        return float(model.dof_frictionloss[k])
+        return (float(model.dof_frictionloss[k]),)
     if change == "damping":
         model.dof_damping[k] += 0.15 * torque / speed
-        return float(model.dof_damping[k])
+        return (float(model.dof_damping[k]),)
     if change == "rotor":
         model.dof_armature[k] += 0.3 * torque / acceleration
-        return float(model.dof_armature[k])
+        return (float(model.dof_armature[k]),)
     if change == "gain":
         servo = int(np.flatnonzero(model.actuator_trnid[:, 0] == k)[0])
         model.actuator_gainprm[servo, 0] *= 0.8
         model.actuator_biasprm[servo, 1] *= 0.8
-        return 0.8
-    body = model.jnt_bodyid[k]
-    model.body_mass[body] *= 1.3
-    model.body_inertia[body] *= 1.3
-    return 1.3
+        return (0.8,)
+    if change == "mass":
+        body = model.jnt_bodyid[k]
+        model.body_mass[body] *= 1.3
+        model.body_inertia[body] *= 1.3
+        return (1.3,)
+    return {"stribeck": (0.1 * torque, 0.3 * torque, 0.4 * speed), "offset": (0.03,)}.get(change, (0.015,))
 
 
-def read(folder: Path, model: str, names: list[str], log: tuple[np.ndarray, ...]) -> tuple[Recording, Any]:
+def read(folder: Path, model: str, names: list[str], log: Played) -> tuple[Recording, Any]:
     """The log as a user's files give it, and the body of the file as published."""
     time, angle, command, _ = log
     columns = {"time": time} | {f"q{k}": angle[:, k] for k in range(len(names))}
@@ -135,33 +153,40 @@ def value_error(result: Regression, body: Any, change: str, place: str, before: 
             shift = sum(factor * numbers.get(name, 0.0) for name, factor in parts.items())
             off.append((abs(shift) / e.sd if e.sd else 0.0, abs(e.value - e.of_file - shift) / abs(e.of_file + shift)))
         return max(off, default=(0.0, np.nan))[1]
-    mine = [e.value for e in own if e.place == place]
+    mine = {e.parameter: e.value for e in own if e.place == place}
     if not mine:
         return float("nan")
-    whole = 1 + mine[0] if change == "gain" else before + mine[0]
-    return abs(whole / after - 1)
+    first = mine.get("static", next(iter(mine.values())))  # of a friction that falls with speed the one at rest
+    return abs((before + first) / after - 1)
+
+
+def logs(file: Path, change: str, seed: int) -> tuple[int, float, float, Played, Played]:
+    """Of one motion the joint that is changed, a number before and after, and the logs without and with the change."""
+    seeds = [seed, *map(ord, file.stem)]
+    nominal, model = (mujoco.MjModel.from_xml_path(str(file)) for _ in range(2))
+    clean = played(nominal, np.random.default_rng(seeds))
+    k = int(np.random.default_rng([seed, *map(ord, change)]).integers(model.nv))
+    numbers = {"friction": "dof_frictionloss", "damping": "dof_damping", "rotor": "dof_armature"}
+    before = float(getattr(model, numbers[change])[k]) if change in numbers else float(change == "gain")
+    if change == "none":
+        return k, before, before, clean, clean
+    size = changed(model, change, k, clean[3])
+    live = change if CHANGES[change] in SHAPED else ""
+    after = size[1] if change == "stribeck" else size[0]
+    return k, before, after, clean, played(model, np.random.default_rng(seeds), live, k, size)
 
 
 def case(file: Path, change: str, seed: int) -> dict[str, Any]:
     """One log and its answer."""
-    rng = np.random.default_rng([seed, *map(ord, file.stem)])
-    nominal, model = (mujoco.MjModel.from_xml_path(str(file)) for _ in range(2))
-    sizes = played(nominal, np.random.default_rng(rng.integers(2**32)))[3]
-    k = int(np.random.default_rng([seed, *map(ord, change)]).integers(model.nv))
-    numbers = {"friction": "dof_frictionloss", "damping": "dof_damping", "rotor": "dof_armature"}
-    before = float(getattr(nominal, numbers[change])[k]) if change in numbers else 1.0
-    after = changed(model, change, k, sizes) if change != "none" else 0.0
-    names = list(joint_names(model))
-    state = rng.bit_generator.state
-    log = played(model, rng)
-    rng.bit_generator.state = state
+    k, before, after, clean, log = logs(file, change, seed)
+    names = list(joint_names(mujoco.MjModel.from_xml_path(str(file))))
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         recording, body = read(Path(folder), str(file), names, log)
         start = clock.process_time()
         result = regress(recording, body)
         seconds = clock.process_time() - start
-        unchanged = regress(read(Path(folder), str(file), names, played(nominal, rng))[0], body)
+        unchanged = result if change == "none" else regress(read(Path(folder), str(file), names, clean)[0], body)
     assert result is not None
     assert unchanged is not None
     place = names[k] if change != "mass" else body.link_names[body.joint_names.index(names[k])]

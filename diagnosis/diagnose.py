@@ -28,7 +28,6 @@ from invdyn.diagnosis.assessment.result import LEFT_OUT, REFUSED, Diagnosis, pla
 from invdyn.diagnosis.assessment.symbolic_regression import Formula, describe
 from invdyn.diagnosis.budget import Budget, attempt
 from invdyn.diagnosis.catalogue import CATALOGUE, Catalogue, CatalogueEntry
-from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.check.before import check_before
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.laws import finely_stepped, heavy_tailed, search_either
@@ -145,7 +144,7 @@ def diagnose(
     bound = replace(bound, **shared)
     other = None if held_out is None else replace(bind(held_out), **shared)
     _check_regimes(bound, other)
-    excluded = {*JOINT_KINDS, INERTIAL}.difference(bound.catalogue.without(without))
+    excluded = set(CATALOGUE).difference(bound.catalogue.without(without))
     said = regress(recording, body, passive=passive, rules=rules, held_out=held_out, without=excluded)
     if said is not None and checkpoint is not None:
         write_text(Path(checkpoint) / "regression.json", json.dumps(plain(said.to_json()), indent=1) + "\n")

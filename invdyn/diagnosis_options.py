@@ -40,7 +40,9 @@ class Diagnosed(Recorded):
             "standard deviations; default: 0.3."
         ),
     ] = ""
-    max_effects: Annotated[int, typer.Option(min=1, help="Most effects in one cause; more take longer.")] = 4
+    max_effects: Annotated[
+        int, typer.Option(min=1, help="Most effects in one cause of a search, not of the regression.")
+    ] = 4
     budget: Annotated[
         float | None,
         typer.Option(

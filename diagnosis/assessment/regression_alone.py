@@ -3,8 +3,9 @@
 A search linearises about the file's numbers. Of a servo whose gain is some times another it finds no path of the
 recording in minutes, and no cause. What the regression's answer leaves is looked for in the file that it corrects.
 A search that the budget ends before its first screen says nothing of causes, either, and takes all of it: what a screen
-needs is the number of its columns (:mod:`..budget`). The regression's evidence is exact for effects in which the torque
-is linear, and the answer says which others were not examined, and what may be missing without showing.
+needs is the number of its columns (:mod:`..budget`). The regression has effects in which the torque is linear, at least
+once a shape is known (:mod:`..regression.shaped_effects`). The answer says which others were not examined, and what may
+be missing without showing.
 
 There is a gap where an effect is stated without a "perhaps", or where a torque is missing that is several times what is
 tolerated and what the encoders' noise makes of it.
@@ -21,7 +22,6 @@ from invdyn.diagnosis.assessment.closing_measures import measured
 from invdyn.diagnosis.assessment.regression_cause import regression_cause
 from invdyn.diagnosis.assessment.result import NO_SEARCH, Diagnosis, Gap, Shrinkage
 from invdyn.diagnosis.budget import work_of, work_per_second
-from invdyn.diagnosis.catalogue.linear_laws import FRICTION, INERTIAL, JOINT_KINDS
 from invdyn.diagnosis.hypotheses.pool import considered
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
@@ -50,7 +50,7 @@ def by_regression_alone(
     speed = work_per_second(problem.model)
     if needed <= min(problem.budget.work, problem.budget.seconds * speed):
         return None
-    rest = [effect for effect in effects if effect.name not in {*(FRICTION if passive else JOINT_KINDS), INERTIAL}]
+    rest = [effect for effect in effects if effect.name not in regression.examined]
     names = sorted({problem.catalogue.of(effect).phrase or effect.name for effect in rest})
     words = (
         "No causes were searched for, as the budget ends before a search's first screen (--budget "

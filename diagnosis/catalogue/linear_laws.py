@@ -17,6 +17,10 @@ JOINT_KINDS = {
 """By effect, parameter and unit of each of its columns."""
 WITHIN = {"constant_torque": "joint_stiffness"}
 """Effects whose column is among those of another."""
+LINK_MASS = "link_mass"
+"""Of a regression alone: all numbers of a link off by one factor, which is one column in place of three or ten."""
+CONTAINED = WITHIN | {"coulomb_friction": "stribeck_friction", LINK_MASS: INERTIAL}
+"""The same of all effects that a regression examines: a joint has one of the two."""
 FILED = {
     "viscous_friction": "damping",
     "coulomb_friction": "friction",

@@ -11,6 +11,7 @@ Shapes: R rows, K joints, W windows. Units: rad, s, N·m.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import ABRUPT, Effect
+from invdyn.models.effects.composition import own_values
 from invdyn.models.effects.inertias import point_moments
 from invdyn.recordings import Recording
 
@@ -96,16 +98,26 @@ def _links(model: ArmModel, found: Coefficients) -> dict[str, Tensor]:
 
 def torque_missed(model: ArmModel, motion: MeasuredMotion, cutoff: float, file: ArmModel | None = None) -> np.ndarray:
     """E (R, K) of the top of the file, with the inertia of ``file`` where it is given."""
-    rows, body = torch.arange(len(motion.time)), model.body_parameters()
+    rows, body, q = torch.arange(len(motion.time)), model.body_parameters(), _true_angles(model, motion.q)
     still = np.zeros((len(motion.time), model.state_dim - 2 * motion.q.shape[1]))
-    state = torch.as_tensor(np.concatenate([still, motion.q, motion.qd], -1))
+    state = torch.as_tensor(np.concatenate([still, q, motion.qd], -1))
     with torch.no_grad():
         missing = torch.as_tensor(motion.qdd) - model.acceleration(state, rows, body)
         by = file or model
-        inertia = by.dynamics.inertia_matrix(torch.as_tensor(motion.q), by.body_parameters())
+        inertia = by.dynamics.inertia_matrix(q, by.body_parameters())
         own = by.effects.inertia(by.parameters, motion.q.shape[1])
     inertia = inertia if own is None else inertia + torch.diag_embed(own)
     return low_passed((inertia @ missing.unsqueeze(-1))[..., 0].numpy(), motion, cutoff)
+
+
+def _true_angles(model: ArmModel, q: np.ndarray) -> Tensor:
+    """Angles (R, K) of joints whose encoders, with what an effect adds to each, show ``q``."""
+    true = shown = torch.as_tensor(q)
+    for effect in model.effects:
+        if effect.sensor == "encoders" and hasattr(effect, "angles"):
+            values = own_values(effect, model.parameters)
+            true = true + shown - effect.angles(values, SimpleNamespace(angles=shown))
+    return true
 
 
 def windows(motion: MeasuredMotion) -> np.ndarray:
@@ -124,13 +136,14 @@ def replay_errors(model: ArmModel, motion: MeasuredMotion, starts: np.ndarray) -
     step = float(np.median(np.diff(motion.time)))
     lengths = [max(round(horizon / step), 1) for horizon in FIXED.replay_horizons]
     still = np.zeros((len(starts), model.state_dim - 2 * motion.q.shape[1]))
-    state = torch.as_tensor(np.concatenate([still, motion.q[starts], motion.qd[starts]], -1))
+    q = _true_angles(model, motion.q).numpy()
+    state = torch.as_tensor(np.concatenate([still, q[starts], motion.qd[starts]], -1))
     total, found = np.zeros(len(starts)), []
     with torch.no_grad():
         for n in range(1, lengths[-1] + 1):
             rows = np.minimum(starts + n, len(motion.time) - 1)
             state = model.transition_mean(state, torch.as_tensor(rows))
-            off = np.nan_to_num(model.split(state)[1].numpy() - motion.q[rows], nan=np.pi, posinf=np.pi, neginf=np.pi)
+            off = np.nan_to_num(model.split(state)[1].numpy() - q[rows], nan=np.pi, posinf=np.pi, neginf=np.pi)
             total += (np.minimum(np.abs(off), np.pi) ** 2).mean(-1)
             if n in lengths:
                 found.append(np.sqrt(total / n))

@@ -26,6 +26,17 @@ class Columns:
         """The columns with every (P_k, R) made another."""
         return Columns(tuple(map(change, self.values)), self.at, self.number)
 
+    def and_sums(self, some: np.ndarray, factors: np.ndarray) -> "Columns":
+        """With further columns, each the sum of ``some`` (N, n) of them, a column p times ``factors`` (P,)."""
+        values, at = list(self.values), list(self.at)
+        whole = np.zeros((len(some), self.number))
+        np.put_along_axis(whole, some, factors[some], 1)
+        for k, (X, own) in enumerate(zip(self.values, self.at, strict=True)):
+            there = np.flatnonzero(whole[:, own].any(1))
+            values[k] = np.concatenate([X, whole[np.ix_(there, own)] @ X])
+            at[k] = np.append(own, self.number + there)
+        return Columns(tuple(values), tuple(at), self.number + len(some))
+
     @property
     def moving(self) -> np.ndarray:
         """(P,) which are not zero everywhere."""

@@ -87,6 +87,8 @@ class Choice:
 
     `tolerated` (K,) N·m is what need not be explained: noise is that much at least. `within` names kinds whose columns
     are among those of another: a place has one of them. Effects of `common` kinds have a factor in common.
+    Of some kinds so many shapes were `tried` at each place: the best one has the prior of one among them, and it is
+    asked for where its special case is stated.
     """
 
     moments: Moments
@@ -97,6 +99,7 @@ class Choice:
     rules: Rules
     within: Mapping[str, str] = field(default_factory=dict)
     common: Collection[str] = ()
+    tried: Mapping[str, int] = field(default_factory=dict)
 
     def chosen(self) -> Chosen:
         """The set of highest score that single steps lead to."""
@@ -166,7 +169,10 @@ class Choice:
         taken = {statement.kind: n for n, statement in enumerate(now)}
         for n in range(len(now)):
             yield _less(now, n)
-        for kind, places in self.kinds.items():
+        for kind, every in self.kinds.items():
+            special = next((s for s, wider in self.within.items() if wider == kind and kind in self.tried), kind)
+            stated = {place for s in now if s.kind in (kind, special) for place in s.columns}
+            places = every if special == kind else {place: own for place, own in every.items() if place in stated}
             rest = _less(now, taken[kind]) if kind in taken else tuple(now)
             own = now[taken[kind]] if kind in taken else None
             sets: list[tuple[str, ...]] = [tuple(places)] if len(places) > 1 else []
@@ -188,14 +194,16 @@ class Choice:
         while True:
             columns = [p for statement in statements for p in statement.every]
             prior = np.array([1 / (s.size * self.size[p]) ** 2 for s in statements for p in s.every])
-            gram, cross = m.gram[:, columns][:, :, columns], m.cross[:, columns]
+            own = np.array(columns, dtype=int)
+            gram, cross = m.gram[:, own[:, None], own], m.cross[:, own]
+            flat = gram.reshape(len(gram), len(own) ** 2)
             for _ in range(3):
                 weight = m.count / m.rows / noise**2
-                A = np.diag(prior) + np.einsum("k,kpq->pq", weight, gram)
+                A = np.diag(prior) + (weight @ flat).reshape(len(own), len(own))
                 unit = np.sqrt(np.diag(A))
                 even = A / unit[:, None] / unit
                 values = np.linalg.solve(even, weight @ cross / unit) / unit
-                left = m.square - 2 * cross @ values + np.einsum("kpq,p,q->k", gram, values, values)
+                left = m.square - 2 * cross @ values + gram @ values @ values
                 left = np.maximum(left, m.rows * np.maximum(self.tolerated**2, 1e-300))
                 noise = np.sqrt(left / m.rows)
             low = {p for p, value in zip(columns, values, strict=True) if value < self.least[p]}
@@ -214,7 +222,8 @@ class Choice:
         def others(of: Chosen) -> dict[str, set[str]]:
             return {s.kind: set(s.columns) for s in of.statements if s.kind not in self.common}
 
-        free = {*self.common} <= {s.kind for s in before.statements} and others(before) == others(after)
+        several = len({*self.common} & {s.kind for s in before.statements}) > 1
+        free = several and others(before) == others(after)
         if len(after.columns) >= len(before.columns) or not free:
             return lower(before.unseen, after.unseen)
         error = before.unseen.std(ddof=1) / np.sqrt(len(before.unseen))
@@ -246,6 +255,7 @@ class Choice:
         for statement in statements:
             total -= log(len(self.kinds)) + log(len(FIXED.regression_sizes))
             total += log_of_places(len(statement.columns), len(self.kinds[statement.kind]), self.rules)
+            total -= len(statement.columns) * log(self.tried.get(statement.kind, 1))
         return total
 
 

@@ -19,15 +19,24 @@ Friction that differs by direction, f₊ and f₋, is (f₊ + f₋)/2 of dry fri
 Shapes: R rows, K joints, P columns. Units: rad, s, N·m.
 """
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from scipy.special import erf
 
-from invdyn.diagnosis.catalogue.linear_laws import DAMPING, FILED, FRICTION, GAIN, INERTIAL, JOINT_KINDS, LOWER_BOUNDS
+from invdyn.diagnosis.catalogue.linear_laws import (
+    DAMPING,
+    FILED,
+    FRICTION,
+    GAIN,
+    INERTIAL,
+    JOINT_KINDS,
+    LINK_MASS,
+    LOWER_BOUNDS,
+)
 from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, limited
@@ -40,6 +49,7 @@ from invdyn.diagnosis.regression.regressors import (
     nominal_link_numbers,
     unit_numbers,
 )
+from invdyn.diagnosis.regression.shaped_effects import Along, Shape, Shaped, lowest, sizes_of
 from invdyn.diagnosis.rules import FIXED, Rules
 from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
@@ -57,11 +67,14 @@ class LinearEffects:
         kinds, places, names, units: (P,) effect, joint or link, parameter, its unit.
         size: (P,) sd of the prior where an effect is as large as is usual.
         least: (P,) smallest value.
+        unit: (K,) N·m, of an effect as large as is usual.
         required: (K,) rms of the torque that the file asks for, or that was given, where that is more.
         given: (K,) rms of the torque that was given.
         free: (P,) whether a column may be chosen. Where no torque acts, all links could be without mass: there the
             base parameter that asks for most torque is the file's.
         cutoff: Hz, of the filter.
+        own_numbers: what the file has of links' columns, (P,) up to theirs.
+        shapes: of the `shaped` effects, by effect and joint.
     """
 
     missing: np.ndarray
@@ -75,29 +88,55 @@ class LinearEffects:
     units: tuple[str, ...]
     size: np.ndarray
     least: np.ndarray
+    unit: np.ndarray
     required: np.ndarray
     given: np.ndarray
     free: np.ndarray
     cutoff: float
+    own_numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    shapes: Mapping[tuple[str, str], Shape] = field(default_factory=dict)
+    shaped: tuple[Shaped, ...] = ()
 
 
 @dataclass(frozen=True)
 class Expected:
     """Along a motion what the file asks for, (R, K), and columns' means and variances, before any filter.
 
-    Of each column `labels` has its effect, the number of its joint, and which of the effect's parameters; links' come
-    last.
+    Of each column `labels` has its effect, the number of its joint, and which of the effect's parameters; then come
+    links', and those of effects that are `shaped`, with shapes as they are in `shapes`.
     """
 
     required: np.ndarray
     columns: Columns
     variance: Columns
     labels: tuple[tuple[str, int, int], ...]
+    shaped: tuple[Shaped, ...] = ()
+    shapes: Mapping[tuple[str, str], Shape] = field(default_factory=dict)
 
     def at(self, rows: slice) -> "Expected":
         """Some neighbouring rows of it."""
         columns, variance = (each.map(lambda X: X[:, rows]) for each in (self.columns, self.variance))
         return replace(self, required=self.required[rows], columns=columns, variance=variance)
+
+    def with_shapes(
+        self, along: Along, shaped: Sequence[Shaped], shapes: Mapping[tuple[str, str], Shape]
+    ) -> "Expected":
+        """The same with columns of effects whose shapes are known."""
+        values, at, number = [[X] for X in self.columns.values], [[own] for own in self.columns.at], self.columns.number
+        for each in shaped:
+            for column in along.columns(each, shapes[each.key].value):
+                for k in np.flatnonzero(column.any(0)):
+                    values[k].append(column[None, :, k].numpy())
+                    at[k].append(np.array([number]))
+                number += 1
+        columns = Columns(tuple(map(np.concatenate, values)), tuple(map(np.concatenate, at)), number)
+        return replace(
+            self,
+            columns=columns,
+            variance=replace(self.variance, number=number),
+            shaped=tuple(shaped),
+            shapes=shapes,
+        )
 
 
 def expected(dynamics: Dynamics, body: Any, motion: MeasuredMotion, passive: bool) -> Expected:
@@ -185,15 +224,20 @@ def linear_effects(
             least[p] = -getattr(own, FILED[kind]) - own_damping + 0.0
         names.append((kind, joints[k], name, of))
     usable, count = limited(body, wanted, np.zeros_like(wanted)[:, None]) == wanted, len(along.labels)
-    gains = np.array([kind == GAIN for kind, _, _ in along.labels] + [False] * (number - count))
-    by = np.broadcast_to(1 + np.asarray(gain), len(joints))
+    more = [(each, parameter) for each in along.shaped for parameter in each.sizes]
+    last = number - len(more)
+    by_command = np.array([kind == GAIN for kind, _, _ in along.labels] + [False] * (number - count))
+    by_command[last:] = [each.of_command for each, _ in more]
+    by, times = np.broadcast_to(1 + np.asarray(gain), len(joints)), np.ones(number)
+    times[last:] = [1 / factors[each.joint] if each.of_command else 1.0 for each, _ in more]
     shown = [
-        np.where(gains[at][:, None], usable[:, k], np.where(at < count, 1.0, by[k])[:, None])
+        np.where(by_command[at][:, None], usable[:, k], np.where((at < count) | (at >= last), 1.0, by[k])[:, None])
+        * times[at][:, None]
         for k, at in enumerate(along.columns.at)
     ]
     columns = replace(along.columns, values=tuple(X * own for X, own in zip(along.columns.values, shown, strict=True)))
     numbers = nominal_link_numbers(body)
-    links, free = np.arange(len(names), number), np.ones(number, dtype=bool)
+    links, free = np.arange(count, last), np.ones(number, dtype=bool)
     own_numbers = np.concatenate([each.ravel() for each in (*numbers, np.zeros(0))])
     floors = [np.full(each.size, max(float(np.abs(each).max()), 1e-12)) for each in numbers]
     size[links] = np.maximum(np.abs(own_numbers), FIXED.min_link_share * np.concatenate([*floors, np.zeros(0)]))
@@ -202,24 +246,39 @@ def linear_effects(
     if (factors != 1.0).any():
         free[links] = False
     names += [(INERTIAL, link, name, of) for name, of in link_names(body, numbers) for link in body.link_names]
+    names += [(*each.key, parameter.name, parameter.unit) for each, parameter in more]
+    least[last:] = [lowest(parameter) for _, parameter in more]
+    for p in range(last, number):
+        found = {k: columns.of(p, k) for k in range(len(joints)) if p in columns.at[k]}
+        size[p] = sizes_of(np.stack([*found.values()], -1)[None], unit[[*found]])[0] if found else 1.0
+    if len(links) and not passive:
+        columns = columns.and_sums(links.reshape(-1, len(body.link_names)).T, np.append(np.zeros(count), own_numbers))
+        names += [(LINK_MASS, link, "share", "1") for link in body.link_names]
+        rest = len(names) - number
+        size, least = np.append(size, np.ones(rest)), np.append(least, np.full(rest, FIXED.min_link_left - 1))
+        free = np.append(free, np.full(rest, (factors == 1.0).all()))
     kinds, places, parameters, units = zip(*names, strict=True)
-    free &= ~np.isin(kinds, list(without))
+    free &= ~np.isin(kinds, [*without, *([LINK_MASS] if INERTIAL in without else [])])
     return LinearEffects(
         low_passed(given + drag - required, motion, cutoff),
         low_passed(motion.torque + drag - required, motion, cutoff),
         usable,
         columns.map(lambda X: np.ascontiguousarray(low_passed(X.T, motion, cutoff).T)),
-        along.variance,
+        replace(along.variance, number=columns.number),
         kinds,
         places,
         parameters,
         units,
         size,
         least,
+        unit,
         whole,
         used,
         free,
         cutoff,
+        np.append(np.zeros(count), own_numbers),
+        along.shapes,
+        along.shaped,
     )
 
 

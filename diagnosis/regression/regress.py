@@ -7,8 +7,9 @@ X are :mod:`.linear_effects` along a smoothed motion (:mod:`.measured_motion`); 
 How far that closes the gap is measured on the last third of the rows by a fit to the first two, in rms torque. Evidence
 trusts a model that no robot obeys, and may fit what does not last. So where those rows are predicted better by far by
 viscous and Coulomb friction at all joints, or by these and all links' numbers, as a plain least-squares fit has them,
-that is the answer. A servo's gain that was found first is dropped where it leaves as much of them as the file's: where
-no gravity loads a hinge, its gain, damping and rotor have a factor in common, which no torque tells.
+that is the answer, unless it leaves more torque of all joints together. A servo's gain that was found first is dropped
+where it leaves as much of them as the file's: where no gravity loads a hinge, its gain, damping and rotor have a factor
+in common, which no torque tells.
 
 Shapes: R rows, K joints, P columns, p of them chosen. Units: rad, s, N·m.
 """
@@ -28,12 +29,15 @@ from invdyn.diagnosis.regression.linear_effects import (
     Expected,
     LinearEffects,
     expected,
+    expected_sign,
     joints_of,
     linear_effects,
 )
 from invdyn.diagnosis.regression.low_pass import cutoff_of
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, measured_motion
 from invdyn.diagnosis.regression.servo_gains import ServoGains, servo_gains
+from invdyn.diagnosis.regression.shape_profile import Shapes, first_shapes, nearer_shapes
+from invdyn.diagnosis.regression.shaped_effects import Along, Shaped, shaped_effects
 from invdyn.diagnosis.regression.stated_numbers import (
     Estimated,
     Stated,
@@ -79,7 +83,7 @@ class Regression:
     are from their Gaussian, always of the same seed. `far_gains` are of servos by joint, times the file's: no
     search about the file's numbers comes to them. `torque` is of the held-out rows that `unseen` has, and so is
     `plain`, of viscous and Coulomb friction at all joints alone. `others` are numbers of effects that are not stated,
-    with their probabilities.
+    with their probabilities, and `examined` the names of all effects that could have been stated.
     """
 
     joints: tuple[str, ...]
@@ -93,6 +97,7 @@ class Regression:
     draws: tuple[Mapping[tuple[str, str, str], float], ...] = field(repr=False, compare=False)
     far_gains: Mapping[str, float] = field(compare=False)
     others: tuple[Estimated, ...]
+    examined: frozenset[str] = frozenset()
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
@@ -142,11 +147,15 @@ def regress(
     of = partial(linear_effects, body, passive=passive, rules=rules, cutoff=cutoff, without=without)
     own = ServoGains(np.ones(body.num_joints))
     gains = own if GAIN in without else servo_gains(first[0], first[1].required, body)
-    found = _tried(of, first, last, gains, rules)
+    # a file that is wrong about most servos is corrected first
+    shaped = () if gains.changed.mean() > 0.5 else shaped_effects(body, motion, passive, without)
+    pieces = tuple(Along(body, dynamics, each, expected_sign(each)) for each, _ in (first, last))
+    tried = partial(_with_shapes, of, first, last, shaped, pieces, rules)
+    found = tried(gains)
     if found.gains.changed.any():
-        filed = _tried(of, first, last, own, rules)
+        filed = tried(own)
         while (worse := found.no_better_than(filed)).any():
-            found = _tried(of, first, last, ServoGains(np.where(worse, 1.0, found.gains.factor)), rules)
+            found = tried(ServoGains(np.where(worse, 1.0, found.gains.factor)))
     known, unseen, gains, best = found.known, found.unseen, found.gains, found.best
     fitted = [left_by(known, each.chosen) for each in found.fits]
     memory = float(correlation_times(fitted[best], first[0].stretch).max())
@@ -160,6 +169,7 @@ def regress(
     there = Unseen(last[0], coefficients, unseen.of_file, left[best], known.cutoff, first[0], known.of_file)
     whole = known
     if other is None:
+        along = along.with_shapes(Along(body, dynamics, motion, expected_sign(motion)), known.shaped, known.shapes)
         whole = _near(of(motion=motion, along=along, factor=gains.factor, gain=found.motors), gains)
     fit = weighted_fit(whole, motion, rules, PLAIN[best], _columns_of(known, gains), others=True)
     numbers = (*of_joints(whole, fit, gains), *of_links(whole, fit, body))
@@ -175,6 +185,7 @@ def regress(
         drawn(whole, fit, gains),
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
         tuple(of_others(whole, fit, gains)),
+        frozenset(whole.kinds).difference(without),
     )
 
 
@@ -216,8 +227,39 @@ class _Tried:
 Rows = tuple[MeasuredMotion, Expected]
 
 
-def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: ServoGains, rules: Rules) -> _Tried:
-    """Fits to ``first`` about ``gains``, or nearer ones, and the choice among them by the ``last`` rows."""
+def _with_shapes(
+    of: Callable[..., LinearEffects],
+    first: Rows,
+    last: Rows,
+    shaped: Sequence[Shaped],
+    pieces: Sequence[Along],
+    rules: Rules,
+    gains: ServoGains,
+) -> _Tried:
+    """Fits of linear effects, then of ``shaped`` ones too, along the ``pieces`` of motion that both rows are."""
+    found = _tried(of, first, last, gains, rules)
+    shapes: Shapes | None = first_shapes(shaped, pieces[0], found.known, found.fits[0], found.gains.factor)
+    for _ in range(FIXED.shape_passes):
+        if not shapes:
+            break
+        rows = [(m, a.with_shapes(piece, shaped, shapes)) for piece, (m, a) in zip(pieces, (first, last), strict=True)]
+        found = _tried(of, rows[0], rows[1], gains, rules, found.fits[1:])
+        shapes = nearer_shapes(shaped, pieces[0], found.known, found.fits[0], found.gains.factor)
+    return found
+
+
+def _tried(
+    of: Callable[..., LinearEffects],
+    first: Rows,
+    last: Rows,
+    gains: ServoGains,
+    rules: Rules,
+    plain_fits: Sequence[Fitted] = (),
+) -> _Tried:
+    """Fits to ``first`` about ``gains``, or nearer ones, and the choice among them by the ``last`` rows.
+
+    ``plain_fits`` are those without a choice, where they are known.
+    """
     for _ in range(FIXED.servo_gain_passes if gains.changed.any() else 0):
         known = of(motion=first[0], along=first[1], factor=gains.factor)
         chosen = weighted_fit(known, first[0], rules, None, _columns_of(known, gains)).chosen
@@ -230,7 +272,8 @@ def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: Ser
         of_gains = partial(of, factor=gains.factor, gain=motors)
         known, unseen = (_near(of_gains(motion=motion, along=along), gains) for motion, along in (first, last))
         before = _columns_of(known, gains)
-        fits = [weighted_fit(known, first[0], rules, plain, before) for plain in PLAIN]
+        every = PLAIN[:1] if plain_fits else PLAIN
+        fits = [*(weighted_fit(known, first[0], rules, plain, before) for plain in every), *plain_fits]
         found = _gains_of(known, fits[0].chosen).factor - 1
         if gains.changed.any() or not found.any():  # the links are the file's there
             break
@@ -238,8 +281,10 @@ def _tried(of: Callable[..., LinearEffects], first: Rows, last: Rows, gains: Ser
     size = np.maximum(_rms(unseen.missing), 1e-300)
     tolerated = rules.evidence.tolerance * unseen.required
     errors = [float(np.linalg.norm(np.hypot(_rms(each), tolerated) / size)) for each in left]
-    behind = errors[0] > max(FIXED.max_behind_plain * min(errors), min(errors) + FIXED.min_plain_gain)
-    return _Tried(known, unseen, gains, motors, fits, left, int(np.argmin(errors)) if behind else 0)
+    whole = [float(np.linalg.norm(_rms(each))) for each in left]
+    other = min((n for n in range(len(left)) if whole[n] <= FIXED.max_behind_plain * whole[0]), key=errors.__getitem__)
+    behind = errors[0] > max(FIXED.max_behind_plain * errors[other], errors[other] + FIXED.min_plain_gain)
+    return _Tried(known, unseen, gains, motors, fits, left, other if behind else 0)
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

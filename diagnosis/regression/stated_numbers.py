@@ -115,13 +115,17 @@ def named(effects: LinearEffects, chosen: Chosen, servos: ServoGains) -> Numbers
     names = [(effects.kinds[p], effects.places[p], effects.names[p]) for p in chosen.columns]
     found = dict(zip(names, chosen.values.tolist(), strict=True))
     factors = {place: 1 + max(value, LOWER_BOUNDS[GAIN]) for (kind, place, _), value in found.items() if kind == GAIN}
+    of_command = {each.key for each in effects.shaped if each.of_command}
     for key, p in zip(names, chosen.columns, strict=True):
         if key[0] not in (INERTIAL, GAIN):
-            found[key] = max(found[key] / factors.get(key[1], 1.0), float(effects.least[p]))
+            scale = 1.0 if key[:2] in of_command else factors.get(key[1], 1.0)
+            found[key] = max(found[key] / scale, float(effects.least[p]))
     for place, factor, new in zip(joints_of(effects), servos.factor.tolist(), servos.changed, strict=True):
         if new or place in factors:
             found[GAIN, place, "gain"] = 1 / (factor * factors.get(place, 1.0)) - 1
-    return found
+    there = {name[:2] for name in names}
+    shapes = {(*each.key, each.shape.name): effects.shapes[each.key].value for each in effects.shaped}
+    return {name: value for name, value in shapes.items() if name[:2] in there} | found
 
 
 def drawn(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> tuple[Numbers, ...]:
@@ -168,13 +172,16 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
         for p, *each in zip(fit.chosen.columns, fit.chosen.values.tolist(), sds.tolist(), more.tolist(), strict=True)
     }
     column = {(effects.kinds[p], effects.places[p], effects.names[p]): p for p in fit.chosen.columns}
+    shapes = {(*each.key, each.shape.name): each for each in effects.shaped if not each.is_size}
+    of_command = {each.key for each in effects.shaped if each.of_command}
     found = []
     for (kind, place, name), value in values.items():
-        if kind == INERTIAL:
+        if kind == INERTIAL or (kind, place, name) in shapes:
             continue
         p = column.get((kind, place, name))
         gain = fitted.get((GAIN, place, "gain"), (0.0,))[0]
         scale = (1 + value if kind == GAIN else 1.0) / (1 + max(gain, LOWER_BOUNDS[GAIN]))
+        scale = 1.0 if (kind, place) in of_command else scale
         sd, wider = (scale * each for each in fitted.get((kind, place, name), (0.0,) * 3)[1:])
         unit, size = ("1", 1.0) if p is None else (effects.units[p], float(effects.size[p]))
         filed = -float(effects.least[p]) if p is not None and kind != GAIN and np.isfinite(effects.least[p]) else 0.0
@@ -188,6 +195,10 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
             interval = _times_unknown(value, sd, fit.freedom)
             sd = float(np.hypot(sd, FIXED.servo_gain_sd * value))
         found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, probability=probability))
+    for (kind, place, name), each in shapes.items():
+        if (kind, place, name) in values:
+            own = effects.shapes[kind, place]
+            found.append(Estimated(kind, place, name, own.value, own.sd, own.interval_90, each.shape.unit))
     return found
 
 

@@ -35,7 +35,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from invdyn.diagnosis.catalogue.linear_laws import GAIN, INERTIAL, WITHIN
+from invdyn.diagnosis.catalogue.linear_laws import CONTAINED, GAIN, INERTIAL, JOINT_KINDS, LINK_MASS
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
 from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
@@ -101,7 +101,10 @@ def weighted_fit(
         tau = np.clip(correlation_times(left, motion.stretch), least, max(least, longest))
         moments = _moments(effects, weights, tau)
         tolerated = rules.evidence.tolerance * effects.required
-        choice = Choice(moments, kinds, effects.size, effects.least, tolerated, rules, WITHIN, (GAIN, INERTIAL))
+        tried = {kind: shape.count for (kind, _), shape in effects.shapes.items()}
+        choice = Choice(
+            moments, kinds, effects.size, effects.least, tolerated, rules, CONTAINED, (GAIN, INERTIAL, LINK_MASS), tried
+        )
         chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
@@ -113,16 +116,54 @@ def weighted_fit(
 
     def fitted(each: Chosen) -> Fitted:
         covariance, discrepancy = of(each)
-        return Fitted(each, covariance, len(moments.folds) - 1, weights, discrepancy, rules.evidence.tolerance)
+        whole = Fitted(each, covariance, len(moments.folds) - 1, weights, discrepancy, rules.evidence.tolerance)
+        return _by_numbers(effects, whole)
 
     added = {}
     for kind, places in kinds.items() if others else ():
         for place, own in places.items():
             also = choice.without_least(own).including(chosen, own)
-            if kind != INERTIAL and set(own) <= set(also.columns) - set(chosen.columns):
+            if kind in JOINT_KINDS and set(own) <= set(also.columns) - set(chosen.columns):
                 added[kind, place] = fitted(also)
-    rivals = choice.rivals(chosen) if others else {}
+    found = choice.rivals(chosen) if others else {}
+    others_there = {key: tuple(kind for kind in own if kind != INERTIAL) for key, own in found.items()}
+    rivals = {key: own for key, own in others_there.items() if own and key[0] != LINK_MASS}
     return replace(fitted(choice.with_gains(chosen)), others=added, rivals=rivals)
+
+
+def _by_numbers(effects: LinearEffects, fit: Fitted) -> Fitted:
+    """The same fit, where all numbers of a link are off by one factor as numbers of the link."""
+    chosen = fit.chosen
+    mine = [s for s in chosen.statements if s.kind == LINK_MASS]
+    if not mine:
+        return fit
+    shares = {p: effects.places[p] for p in mine[0].every}
+    at = [p for p, kind in enumerate(effects.kinds) if kind == INERTIAL and effects.places[p] in shares.values()]
+    links = [p for p in at if effects.own_numbers[p]]
+    kept = [n for n, p in enumerate(chosen.columns) if p not in shares]
+    turn = np.zeros((len(kept) + len(links), len(chosen.columns)))
+    turn[np.arange(len(kept)), kept] = 1.0
+    for n, p in enumerate(chosen.columns):
+        for row, link in enumerate(links):
+            if p in shares and effects.places[link] == shares[p]:
+                turn[len(kept) + row, n] = effects.own_numbers[link]
+    columns = {place: tuple(p for p in links if effects.places[p] == place) for place in shares.values()}
+    merged = {s.kind: (s, g) for s, g in zip(chosen.statements, chosen.gain or [0.0] * 99, strict=False)}
+    share, gain = merged.pop(LINK_MASS)
+    own, other = merged.get(INERTIAL, (replace(share, kind=INERTIAL, columns={}), gain))
+    merged[INERTIAL] = replace(own, columns={**own.columns, **columns}), max(gain, other)
+    return replace(
+        fit,
+        chosen=replace(
+            chosen,
+            statements=tuple(s for s, _ in merged.values()),
+            columns=(*(chosen.columns[n] for n in kept), *links),
+            values=turn @ chosen.values,
+            gain=tuple(g for _, g in merged.values()) if chosen.gain else (),
+        ),
+        covariance=turn @ fit.covariance @ turn.T,
+        discrepancy=turn @ fit.discrepancy @ turn.T,
+    )
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:

@@ -1,0 +1,161 @@
+"""Torques of effects with a shape along a motion, and which shape and which effect a regression finds."""
+
+import mujoco
+import numpy as np
+import pytest
+from regressed import BODY, found, recorded
+from trees import panda
+
+from invdyn.diagnosis.regression.columns import Columns
+from invdyn.diagnosis.regression.linear_effects import expected_sign
+from invdyn.diagnosis.regression.measured_motion import measured_motion
+from invdyn.diagnosis.regression.regress import regress
+from invdyn.diagnosis.regression.regressors import inverse
+from invdyn.diagnosis.regression.shape_profile import Context
+from invdyn.diagnosis.regression.shaped_effects import Along, shaped_effects, sizes_of
+from invdyn.models import Body, write_mjcf
+from invdyn.models.articulated.as_filed import servo_torque
+from invdyn.models.dynamics.registry import dynamics_for
+from invdyn.recordings import Recording
+
+SLOW = 0.3  # rad/s
+
+
+@pytest.fixture(scope="module")
+def along():
+    motion = measured_motion(recorded(0, lambda m: 0 * m.q), BODY)
+    return Along(BODY, dynamics_for(BODY), motion, expected_sign(motion))
+
+
+def columns(along, name, value):
+    (one,) = [e for e in shaped_effects(BODY, along.motion, False) if e.key == (name, "elbow")]
+    return [column.numpy() for column in along.columns(one, value)]
+
+
+def test_friction_that_falls_with_speed_is_linear_in_its_two_levels(along):
+    speed, sign = along.motion.qd[:, 1], along.sign.numpy()[:, 1]
+    slow = np.exp(-((speed / SLOW) ** 2))
+    for column, own in zip(columns(along, "stribeck_friction", SLOW), (sign * (1 - slow), sign * slow), strict=True):
+        np.testing.assert_allclose(column[:, 1], own, rtol=1e-12, atol=1e-12)
+        assert not column[:, 0].any()
+
+
+def test_an_encoders_offset_asks_for_the_torque_of_other_angles_at_all_joints(along):
+    offset = 0.02
+    (column,) = columns(along, "encoder_offset", offset)
+    m = along.motion
+    true = type("True", (), {"q": m.q - [0.0, offset], "qd": m.qd, "qdd": m.qdd})
+    other = inverse(along.dynamics, BODY.parameters(), true) - inverse(along.dynamics, BODY.parameters(), m)
+    np.testing.assert_allclose(column * offset, other, rtol=1e-9, atol=1e-12)
+
+
+def test_a_delay_is_what_the_command_was_before(along):
+    """Of as many whole rows."""
+    step, m = float(np.diff(along.motion.time)[0]), along.motion
+    (column,) = columns(along, "actuator_delay", 3 * step)
+    np.testing.assert_allclose(3 * step * column[3:, 1], m.command[3:, 1] - m.command[:-3, 1], rtol=1e-6, atol=1e-6)
+
+
+def test_what_columns_explain_is_what_they_take_from_the_weighted_ridge_sum():
+    rng = np.random.default_rng(0)
+    X, Z = rng.standard_normal((2, 3, 50)), rng.standard_normal((2, 50, 1))
+    columns = Columns((np.concatenate(X)[:4],), (np.arange(4),), 4)
+    y, weights, size = rng.standard_normal((50, 1)), rng.uniform(0.5, 2.0, (50, 1)), np.array([1.0, 2.0, 0.5, 3.0])
+    gain, values = Context(columns, np.arange(4), size, y, weights).explains(Z, np.array([0.7, 1.3]))
+
+    def least(columns, sd):
+        root = np.sqrt(weights)
+        whole, zero = np.concatenate([columns.T * root, np.diag(1 / sd)]), np.zeros((len(sd), 1))
+        best, left, *_ = np.linalg.lstsq(whole, np.concatenate([y * root, zero]), rcond=None)
+        return best[:, 0], float(left[0])
+
+    every, both = np.concatenate([columns.values[0], Z[:, :, 0]]), np.append(size, [0.7, 1.3])
+    best, after = least(every, both)
+    assert gain == pytest.approx((least(columns.values[0], size)[1] - after) / 2, rel=1e-10)
+    np.testing.assert_allclose(values, best[-2:], rtol=1e-10)
+    assert sizes_of(2.0 * Z, np.ones(1)) == pytest.approx(0.5 / np.sqrt((Z**2).mean((1, 2))))
+
+
+@pytest.mark.long
+def test_stribeck_friction_is_named_with_its_speed_and_coulomb_friction_is_not_taken_for_it():
+    """Levels and speed are in intervals twice as wide as the 90 % ones."""
+    true = {"coulomb": 0.2, "static": 0.6, "velocity": 0.4}
+
+    def rubs(m):
+        slow = np.exp(-((m.qd / true["velocity"]) ** 2))
+        return np.array([0.0, 1.0]) * (true["coulomb"] + (true["static"] - true["coulomb"]) * slow) * np.sign(m.qd)
+
+    result = regress(recorded(0, rubs), BODY)
+    assert [(s.effect, s.sure) for s in result.stated] == [("stribeck_friction", ("elbow",))]
+    for (_, _, name), each in found(result).items():
+        low, high = each.interval_90
+        assert abs(each.value - true[name]) < high - low
+        assert each.value == pytest.approx(true[name], rel=0.15)
+    plain = regress(recorded(0, lambda m: np.array([0.0, 0.4]) * np.sign(m.qd)), BODY)
+    assert [(s.effect, s.sure) for s in plain.stated] == [("coulomb_friction", ("elbow",))]
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """A Panda with seven position servos."""
+    path = tmp_path_factory.mktemp("panda") / "panda.xml"
+    write_mjcf(panda(), path)
+    servos = "".join(
+        f'<general joint="{name}" biastype="affine" gainprm="400" biasprm="0 -400 -40"/>'
+        for name in panda().joint_names
+    )
+    text = path.read_text().replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    path.write_text(text)
+    return path, Body.load(path)
+
+
+def played(robot, late=0.0, offset=0.0, lag=0.0, at=3, seconds=8.0):
+    """MuJoCo's log of it, one joint with a delay or a lag, s, of its target, or an offset, rad, of its encoder."""
+    path, body = robot
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.timestep, data, rng = 2.5e-4, mujoco.MjData(model), np.random.default_rng(0)
+    time = np.arange(0, seconds, 0.01)
+    w, phase = 2 * np.pi * rng.uniform(0.2, 0.8, (3, 7)), rng.uniform(0, 6, (3, 7))
+    middle = np.array([0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.8])
+    told = middle + (0.12 * (np.sin(time[:, None, None] * w + phase) - np.sin(phase))).sum(1)
+    data.qpos[:], seen, acts = middle, [], told[0].copy()
+    for row in range(len(time)):
+        seen.append(data.qpos.copy())
+        for step in range(40):
+            target = told[row].copy()
+            target[at] = told[max(int(np.floor(row + (step + 0.5) / 40 - late * 100)), 0), at] - offset
+            share = -np.expm1(-2.5e-4 / lag) if lag else 1.0
+            acts[:], acts[at] = target, acts[at] + share * (target[at] - acts[at])
+            data.ctrl[:] = acts
+            mujoco.mj_step(model, data)
+    angles = np.array(seen) + 2e-4 * rng.standard_normal(told.shape)
+    angles[:, at] += offset
+    torques = np.stack([servo_torque(p.servo, c) for p, c in zip(body.joint_parts, told.T, strict=True)], -1)
+    nothing = np.empty((len(time), 0, 3))
+    return Recording(time, nothing, (), angles=angles, torques=torques, joint_names=body.joint_names)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("change", "effect", "value"),
+    [
+        ({}, None, 0.0),
+        ({"late": 0.015}, "actuator_delay", 0.015),
+        ({"lag": 0.015}, "actuator_lag", 0.015),
+        ({"offset": 0.08}, "encoder_offset", 0.08),
+    ],
+)
+def test_mujocos_robot_of_seven_joints_is_told_what_is_odd(robot, change, effect, value):
+    """A delay and a lag of as much are named together."""
+    result = regress(played(robot, **change), robot[1])
+    sure = {(s.effect, place): s.rivals.get(place, ()) for s in result.stated for place in s.sure}
+    if effect is None:
+        assert sure == {}
+        return
+    joint = robot[1].joint_names[3]
+    ((named, place),) = sure
+    assert place == joint
+    assert effect in (named, *sure[named, place])
+    (number,) = [e for e in result.numbers if (e.effect, e.place) == (named, place)]
+    assert number.value == pytest.approx(value, rel=0.05)
