@@ -109,7 +109,7 @@ class ArmModel(StateSpaceModel):
         self.torque = torque or OrnsteinUhlenbeck()
         self.base = base
         self.process = self.torque if base is None else OnMovingBase(self.torque, base)
-        self.effects = Composition((), filed(body))
+        self.effects = Composition((), filed(body, command is not None))
         self.integrator, self.substeps = integrator, substeps
         self.timeline = Timeline.of(time)
         self.abrupt = self._abrupt(self.effects)
@@ -336,7 +336,7 @@ class ArmModel(StateSpaceModel):
 
     def commanded(self, torque: np.ndarray | Tensor) -> "ArmModel":
         """The model under a command (T, K) N·m, constant from each row to the next."""
-        return self._with(drive=Drive.held(torque, (self.num_steps, self.body.num_joints)))
+        return self._with(drive=Drive.held(torque, (self.num_steps, self.body.num_joints)), effects=self._with_servos)
 
     def driven_by(self, time: Tensor, torque: Tensor) -> "ArmModel":
         """The model under a command (C, K) N·m, constant between times (C,) s of its own, finer than the rows.
@@ -344,7 +344,12 @@ class ArmModel(StateSpaceModel):
         ``command`` becomes its mean over each row. It may begin before the first row.
         """
         drive = self.drive.driven_by(time, torque, self.time)
-        return self._with(drive=drive, timeline=self.timeline.known_from(time[0]))
+        return self._with(drive=drive, timeline=self.timeline.known_from(time[0]), effects=self._with_servos)
+
+    @property
+    def _with_servos(self) -> Composition:
+        """The effects of the model under a command."""
+        return self.effects if self.command is not None else Composition(tuple(self.effects), filed(self.body))
 
     def with_observed_speed(self, speed: Tensor) -> "ArmModel":
         """The model of a body whose joints' rms velocities (K,) rad/s are known, which effects' priors follow."""

@@ -109,8 +109,11 @@ def engine_steps(body: ArticulatedBody) -> tuple[FiledStep, ...]:
     return tuple(FiledStep(joint, k, parts) for k, (joint, parts) in joints if parts is not None and parts.step)
 
 
-def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
-    """The parts that a body's file gives its joints."""
+def filed(body: ArticulatedBody, commanded: bool = True) -> tuple[Filed, ...]:
+    """The parts that a body's file gives its joints.
+
+    A servo without a command would hold its joint at zero: where torques are unknown, they are all that motors give.
+    """
     found: list[Filed] = []
     for number, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
         if parts is None:
@@ -119,7 +122,7 @@ def filed(body: ArticulatedBody) -> tuple[Filed, ...]:
             (FiledPassive, parts.damping or parts.stiffness),
             (FiledRotor, parts.armature),
             (FiledFriction, parts.friction),
-            (FiledServo, parts.servo),
+            (FiledServo, parts.servo is not None and commanded),
             (FiledLimit, parts.motor is not None and parts.servo is None and parts.motor.limited),
         ]
         found += [kind(joint, number, parts) for kind, there in kinds if there]

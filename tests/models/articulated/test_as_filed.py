@@ -159,6 +159,19 @@ def test_a_servos_limit_cuts_what_was_told_alone():
     assert float(after[-1]) == pytest.approx((1 + 2) * 3 * 1e-3, rel=0.01)  # of an inertia of a third
 
 
+def test_a_servo_without_a_command_has_no_part_in_the_motion():
+    """Where torques are unknown they are the whole; a stiff servo would hold its joint at zero against them."""
+    servo = JointParts(damping=0.3, motor=Motor("position", gain=4500.0, stiffness=4500.0, damping=450.0))
+    rods = [Link("rod", "joint", "tip", 1.0, 1.0, parts=parts) for parts in (servo, JointParts(damping=0.3))]
+    held, free = (ArmModel(planar_body("arm", [rod], gravity=(0.0, 0.0)), np.arange(3) * 1e-3) for rod in rods)
+    state = torch.tensor([2.0, 0.5, 0.1], dtype=torch.float64)
+    assert torch.equal(held.transition_mean(state, 1), free.transition_mean(state, 1))
+    command = np.full((3, 1), 5.0)
+    later, told = held.commanded(command), ArmModel(held.body, np.arange(3) * 1e-3, command=command)
+    assert torch.equal(later.transition_mean(state, 1), told.transition_mean(state, 1))
+    assert not torch.equal(told.transition_mean(state, 1), free.commanded(command).transition_mean(state, 1))
+
+
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     """Two rows ahead it has answered several times; a tenth of a row back is still third order."""
