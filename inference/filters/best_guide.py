@@ -76,7 +76,7 @@ class Guide:
         opinion: log-evidences (M,) of a bootstrap pilot; None where it failed, or is no other guide.
         reason: why the look-ahead is not used, in a line; "" if it is.
         doubt: why no run by this guide may be believed; "" if one may.
-        expected: evidence of its pilot, with the scatter that ``num_particles`` lead to expect; or None.
+        expected: evidence of its pilot, with the scatter to expect where no run may have more particles; or None.
     """
 
     name: str
@@ -192,7 +192,8 @@ def best_guide(
         reason = f"the {name} guide misses a part of the posterior, or is less steady"
         return Guide("bootstrap", None, size, reason=reason)
     seen = None if opinion is None else opinion.log_evidence
-    return Guide(ahead.name, smoother, size, seen, doubt=doubt, expected=ahead.expected(size))
+    expected = ahead.expected(size) if size >= _most(options, steps) else None
+    return Guide(ahead.name, smoother, size, seen, doubt=doubt, expected=expected)
 
 
 def guides_agree(model: StateSpaceModel, observations: Tensor, options: SMCOptions, seed: int, ahead: Evidence) -> bool:
