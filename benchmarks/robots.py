@@ -1,7 +1,7 @@
 """Robots of public files, each with one number changed: what the regression names, and how near its values are.
 
-    python benchmarks/robots.py --files FOLDER [--robots so101 ur5e] [--changes none friction mass gain damping rotor]
-        [--seed 47000] [--results FILE]
+    python benchmarks/robots.py --files FOLDER [--robots so101 ur5e] [--changes none friction mass gain damping rotor
+        stribeck delay lag offset] [--seed 47000] [--results FILE]
 
 FOLDER has MJCF files, such as those of MuJoCo Menagerie without meshes, whose joints have position servos. MuJoCo plays
 a copy in which one number of one joint or link is another. The log has 10 s of 100 rows: targets, each a sum of three
@@ -36,10 +36,10 @@ SHAPED = ("stribeck_friction", "actuator_delay", "actuator_lag", "encoder_offset
 """Changes that are none of a model's numbers."""
 STEP, RATE, SECONDS = 2.5e-4, 100.0, 10.0
 DRY, INSIDE, TINY = 0.999, 0.9, 1e-9
+"""Impedance of dry friction; share of the way to a joint's stops that targets go; an angle, rad, that is none."""
 Sizes = tuple[float, ...]
 Played = tuple[np.ndarray, ...]
 """Times (T,), angles and targets (T, K), and the rms of K (c − q), velocity and acceleration by joint (3, K)."""
-"""Impedance of dry friction; share of the way to a joint's stops that targets go; an angle, rad, that is none."""
 CHANGES = {
     "none": "",
     "friction": "coulomb_friction",
