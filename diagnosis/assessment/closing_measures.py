@@ -9,8 +9,8 @@ On rows that neither answer was fitted to. Both are measured along one motion, t
 An answer of the search that misses more torque than the regression's, or replays worse, by more than `max_behind_plain`
 and `min_plain_gain` say, is not shown as the answer: the regression's is. Of replays the difference must exceed its own
 standard error over parts of four, which fewer than eight replays do not have: of those the means alone are compared. An
-answer that leaves nothing is shown in any case. Of effects that have states which no sensor shows, or that change what
-sensors see, no torque along a motion tells: they count as absent.
+answer that leaves nothing is shown in any case. Of effects that have states which no sensor shows, that change what
+sensors see, or that act at one moment of a recording, no torque along other rows tells: they count as absent.
 
 Shapes: R rows, K joints, H horizons, W replays. Units: N·m, rad, s.
 """
@@ -108,7 +108,8 @@ def measured(
 
 def _of_cause(nominal: ArmModel, cause: FittedHypothesis) -> ArmModel:
     """The simulation with a cause's effects and the body's numbers as it has them."""
-    known = [effect for effect in cause.effects if not effect.sensor and not isinstance(effect, Hidden)]
+    told = [effect for effect in cause.effects if not effect.sensor and not isinstance(effect, Hidden)]
+    known = [effect for effect in told if not any(each.located for each in effect.parameters(nominal.scale))]
     numbers = cause.model.body.completed(cause.model.mechanics.given)._asdict()  # effects on them come once
     own = {f"body.{name}": numbers[name] for name in ("mass", "com", "inertia") if name in numbers}
     filed = {n: v for n, v in cause.model.parameters.items() if n.startswith("body.") and n[5:] not in numbers}

@@ -1,5 +1,7 @@
 """The verdict: is there a gap, where, which cause with what probability, and how far it closes."""
 
+from collections import Counter
+
 from invdyn.diagnosis.assessment.closing_measures import REGRESSION, SEARCH
 from invdyn.diagnosis.assessment.result import (
     LEFT_OUT,
@@ -19,6 +21,8 @@ from invdyn.diagnosis.report.regression_sentences import interim, of_torque, reg
 from invdyn.diagnosis.report.words import (
     SIDES,
     cause_words,
+    effect_words,
+    finding_words,
     key_words,
     place_words,
     variable_words,
@@ -140,7 +144,7 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
     searched = cause and answer in ("outside", "unclear") and torque.interval_90[0] > 0
     if torque.share <= 0 or not (by_regression or searched):
         return None
-    what = regression_words(regression) if by_regression else cause_words(cause) if cause else ""
+    what = regression_words(regression) if by_regression else _together(diagnosis, cause) if cause else ""
     text = f"There is a gap{_place(diagnosis)}: {what} {'explain' if ' and ' in what else 'explains'} "
     text += of_torque(torque)
     if closing.replay:
@@ -170,8 +174,20 @@ def _search_behind(diagnosis: Diagnosis) -> str | None:
         return None
     share = diagnosis.closing.torque[SEARCH].share
     much = f"{percent(share)} of the missing torque" if share >= 0.005 else "none of the missing torque"
-    what = cause_words(cause) if len(cause.effects) < 4 else f"{len(cause.effects)} effects together"
+    what = _together(diagnosis, cause)
     return f"The search explains less, and is not the answer: its best, {what}, explains {much}."
+
+
+def _together(diagnosis: Diagnosis, cause: Cause) -> str:
+    """A cause in words, in which an effect at all joints, or of all links, is said once."""
+    places = {"joint": len(diagnosis.joint_names), "link": len(diagnosis.link_names)}
+    count, words = Counter((f.effect, *f.where) for f in cause.effects), []
+    for finding in cause.effects:
+        (kind, *more) = finding.where or ("",)
+        everywhere = not more and count[finding.effect, kind] == places.get(kind) != 1
+        all_of = f"{effect_words(finding.effect, finding.entry)} {'of' if kind == 'link' else 'at'} all {kind}s"
+        words.append(all_of if everywhere else finding_words(finding))
+    return named(list(dict.fromkeys(words)))
 
 
 def _closing(diagnosis: Diagnosis, them: str) -> str:

@@ -101,8 +101,13 @@ def test_a_search_is_behind_in_replays_that_show_it(worse, whole, is_behind):
 @pytest.mark.long
 def test_what_a_torque_does_not_tell_counts_as_absent(regression):
     seen = cause(regression, EFFECTS["encoder_offset"]("elbow"), **{"encoder_offset.elbow.offset": 0.1})
-    closing = measured(regression, BODY, False, seen, False)
-    assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
+    pushed = {"impulse_x": 5.0, "impulse_y": 5.0, "moment": 1.0, "duration": 0.1}  # in the first rows, and not in these
+    push = cause(
+        regression, EFFECTS["external_push"]("wrist"), **{f"external_push.wrist.{k}": v for k, v in pushed.items()}
+    )
+    for one in (seen, push):
+        closing = measured(regression, BODY, False, one, False)
+        assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
 
 
 @pytest.mark.long

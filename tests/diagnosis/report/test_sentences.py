@@ -102,6 +102,9 @@ def test_under_a_regressions_verdict_nothing_of_the_search_is_told_as_the_answer
     instead = "The search explains less, and is not the answer: its best, viscous friction at the shoulder, explains "
     assert f"{instead}none of the missing torque." in told
     assert not any(s.startswith(("The share closed", "By regression", "What is left over", "Of viscous")) for s in told)
+    every = tuple(f for joint in joints for f in friction(joint).effects)
+    most = replace(d, causes=(replace(d.causes[0], effects=(*every, *latency().effects)),))
+    assert "its best, viscous friction at all joints and camera latency, explains" in " ".join(details(most))
     shown = [plainly(s) for s in details(replace(d, closing=replace(d.closing, shown="search")))]
     assert not any(s.startswith(instead) for s in shown)
     assert any(s.startswith("By regression alone: ") for s in shown)
