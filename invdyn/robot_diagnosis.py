@@ -46,10 +46,17 @@ def corrected_robot(diagnosis: "Diagnosis", robot: Any, log: Any, mapping: str |
 
 def arguments_of(log: Any, robot: Any, mapping: str | Path | None, options: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `diagnosis.diagnose`; ``log`` may be a recording, a file's name, or several of one of them."""
-    from invdyn.recordings import Recording
+    from invdyn.recordings import InputError, Recording
 
     logs = list(log) if isinstance(log, list | tuple) else [log]
-    if all(isinstance(each, Recording) for each in logs):
+    recorded = {isinstance(each, Recording) for each in logs}
+    if len(recorded) != 1:
+        raise InputError(
+            f"expected a log's file, a recording, or several of one of them, got {'both' if logs else 'none'}"
+        )
+    if recorded == {True}:
+        if mapping is not None:
+            raise InputError("a mapping is for a log's file, got a recording with it: leave it out, or give the file")
         from .inputs import load_body
 
         filmed = any(each.keypoint_names for each in logs)

@@ -4,7 +4,8 @@ Case, spaces, dots and hyphens count least.
 """
 
 import difflib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Collection, Iterable, Sequence
 
 from .errors import InputError
 
@@ -32,16 +33,26 @@ def of_one_side(wanted: Sequence[str], known: Sequence[str], base: str) -> dict[
     What stands before or after the body's name must stand there in the ``base``, too. Empty unless that gives one
     keypoint for each of the names that are ``wanted``.
     """
-    first = _letters(base)
+    parts = [(name, other, *_letters(other).partition(_letters(name))) for name in wanted for other in known]
+    sides = {(before, after) for _, _, before, word, after in parts if word}
+    own = {side for side in sides if _is_of(base, side, sides - {side}, known)}
     found: dict[str, list[str]] = {}
-    for name in wanted:
-        own = _letters(name)
-        for other in known:
-            before, word, after = _letters(other).partition(own)
-            if word and before + after and first.startswith(before) and first.endswith(after):
-                found.setdefault(name, []).append(other)
+    for name, other, before, word, after in parts:
+        if word and (before, after) in own:
+            found.setdefault(name, []).append(other)
     alone = {others[0]: name for name, others in found.items() if len(others) == 1}
     return alone if len(alone) == len(wanted) else {}
+
+
+def _is_of(base: str, side: tuple[str, str], others: Collection[tuple[str, str]], known: Sequence[str]) -> bool:
+    """Whether a base is of a side, by a word of its own, "R.Hip", or beside one of another, "rhip" and "lhip"."""
+    (before, after), first = side, _letters(base)
+    rest = first.removeprefix(before).removesuffix(after)
+    if not before + after or first != before + rest + after:
+        return False
+    words = [word.casefold() for word in re.split(r"[ ._\t-]+|(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", base)]
+    beside = {one + rest + end for one, end in others} & {_letters(name) for name in known}
+    return bool(beside) or (len(words) > 1 and before in ("", words[0]) and after in ("", words[-1]))
 
 
 def some(names: Sequence[str]) -> str:

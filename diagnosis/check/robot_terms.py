@@ -71,7 +71,8 @@ class RobotTerms:
 
         def counted(sources: Sequence[Source | None], zero: np.ndarray) -> Counted:
             known = [source or Source("") for source in sources]
-            offset, factor = np.array([s.offset for s in known]), np.array([s.factor or 1.0 for s in known])
+            offset = np.array([s.offset + sum(each.offset for each in s.added) for s in known])
+            factor = np.array([s.factor or 1.0 for s in known])
             origin, gear = np.array([s.origin for s in known]), np.array([s.gear for s in known])
             return Counted(zero + sign * offset, sign * factor, origin, gear, tuple(s.unit for s in known))
 

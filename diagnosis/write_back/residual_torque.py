@@ -152,7 +152,7 @@ def _fitted(x: np.ndarray, y: np.ndarray) -> JointResidual:
         if rms.min() < best[0]:
             best = float(rms.min()), lengths, FIXED.residual_ratios[int(rms.argmin())]
     error, lengths, ratio = best
-    closed = 1 - error / max(plain, 1e-300)
+    closed = 1 - error / plain if plain > 0 else 0.0
     if closed < FIXED.min_residual_closed:
         return JointResidual(x[:0], y[:0], lengths, np.zeros((0, 0)), 0.0, plain, 0.0)
     root, across = _among(x, some, lengths)

@@ -85,14 +85,7 @@ def iterate(
 
     Raises SMCFailed when the pilots of all smoothers fail, ValueError without a smoother.
     """
-    runs, failure = [], ValueError("expected at least one smoother to start from, got none")
-    for smoother in smoothers:
-        try:
-            runs.append((smoother, pilot(smoother)))
-        except SMCFailed as error:
-            failure = error
-    if not runs:
-        raise failure
+    runs = _piloted(smoothers, pilot)
     start, first = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
     if _filter_sd(first) < STEADY:
         return start, first.log_evidence
@@ -125,7 +118,7 @@ def refitted_over_paths(
     half by their filters' weight, and half of whose covariance is the smoother's. Passes of a smoother alone settle on
     one side of a kink. Of all pilots that none exceeds, the steadiest one's smoother is taken.
     """
-    runs = [(smoother, pilot(smoother)) for smoother in smoothers]
+    runs = _piloted(smoothers, pilot)
     smoother, result = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
     model, rows = model.to(dtype=torch.float64, device="cpu"), observations.detach().cpu().double()
     for _ in range(3 * iterations):
@@ -150,6 +143,20 @@ def refitted_over_paths(
 
 
 Run = tuple[GaussianSmoother, FilterResult]
+
+
+def _piloted(smoothers: Sequence[GaussianSmoother], pilot: Callable[[GaussianSmoother], FilterResult]) -> list[Run]:
+    """Pilots of the smoothers, of those whose do not fail; raises as :func:`iterate`."""
+    runs: list[Run] = []
+    failure: Exception = ValueError("expected at least one smoother to start from, got none")
+    for smoother in smoothers:
+        try:
+            runs.append((smoother, pilot(smoother)))
+        except SMCFailed as error:
+            failure = error
+    if not runs:
+        raise failure
+    return runs
 
 
 def _not_lower(runs: Sequence[Run]) -> Sequence[Run]:

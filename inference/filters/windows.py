@@ -3,7 +3,7 @@
 Smoothing walks back through all rows' particles, 4 (D + 3) bytes each. Instead of these the particles of each window's
 first row are kept, with the state of the random numbers. Walking back, a window's rows are filtered once more from
 there, to the same bits (checkpointing: Griewank & Walther 2000, "Algorithm 799: revolve"). Of T rows in windows of W
-there are 2 W + T/W rows of particles in memory, 3 √T with W = √T, for twice the filter's time.
+there are 3 W + T/W rows of particles in memory, 4 √T with W = √T, for twice the filter's time.
 
 Shapes: M filters, N particles, T rows of D states.
 """

@@ -255,7 +255,7 @@ class Objective(Generic[M]):
         return found, paths
 
     def _slopes_of_means(self, phi: np.ndarray, path: Tensor, covariance: Tensor) -> list[np.ndarray]:
-        """Which parameters move the means of transitions, and of emissions: (P, 1 + free), not 0 where they do."""
+        """Which parameters move the means of transitions, and of emissions: (P,) each, 0 of those that do not."""
         each = np.zeros((1 + len(self.free), len(phi)))
         for row, index in zip(each[1:], self.slices, strict=True):
             row[index] = STEP

@@ -130,7 +130,8 @@ class Dynamics(ABC):
         """
         jacobian = self.jacobian(p.gravity.new_zeros(self.num_joints), p)
         moved = torch.cat([jacobian.norm(dim=-2), p.gravity.new_zeros(1, self.num_joints)]).amax(0)
-        return torch.where(moved > 0, moved, moved.max() if moved.any() else 1.0)
+        largest = moved.max()
+        return torch.where(moved > 0, moved, torch.where(largest > 0, largest, 1.0))
 
     def _check(self, **joint: Tensor) -> None:
         for name, value in joint.items():

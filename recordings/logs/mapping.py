@@ -207,7 +207,7 @@ class LogMap:
 
 
 def _source(given: Any, kind: str, where: str, folder: Path) -> Source:
-    if isinstance(given, list) and given:
+    if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
         first, *others = (_source(each, kind, where, folder) for each in given)
         return replace(first, added=tuple(others))
     table = {"track": given} if isinstance(given, str) else given

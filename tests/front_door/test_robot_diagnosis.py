@@ -9,6 +9,7 @@ import invdyn
 from invdyn.models import Body
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.effects import EFFECTS
+from invdyn.recordings import InputError
 from invdyn.robot_diagnosis import arguments_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*clockwise")
@@ -46,6 +47,13 @@ def test_a_log_reads_the_same_for_a_spec_a_model_and_a_file(files):
 def test_another_object_is_no_robot(files):
     with pytest.raises(BodyError, match=r"expected a robot as a file, a mujoco\.MjSpec .*, got dict"):
         invdyn.diagnose(files / "log.csv", {}, mapping=files / "map.toml")
+
+
+def test_what_is_no_log_is_refused_in_one_line(files):
+    recording = arguments_of(files / "log.csv", files / "robot.xml", files / "map.toml", {"workers": 1})["recording"]
+    for log, mapping in (([], None), ([recording, files / "log.csv"], None), (recording, files / "map.toml")):
+        with pytest.raises(InputError, match=r"a log's file.*, got (none|both|a recording)"):
+            arguments_of(log, files / "robot.xml", mapping, {})
 
 
 @pytest.mark.long

@@ -69,6 +69,10 @@ SIDES = ("R.Shoulder", "L.Shoulder", "R.Elbow", "L.Elbow", "R.Wrist", "L.Wrist",
         (("R.Shoulder", "R.Elbow", "L.Wrist"), "R.Shoulder", {}),  # one of the two is of the other side
         (("R.Shoulder", "R.Elbow", "r elbow", "R.Wrist"), "R.Shoulder", {}),  # nothing says which elbow
         (("R.Acromion", "R.Elbow", "R.Wrist"), "R.Acromion", ("R.Elbow", "R.Wrist")),
+        (("rshoulder", "lshoulder", "relbow", "lelbow", "rwrist", "lwrist"), "rshoulder", ("relbow", "rwrist")),
+        (("RShoulder", "RElbow", "LElbow", "RWrist"), "RShoulder", ("RElbow", "RWrist")),
+        ((*SIDES, "Rump"), "Rump", {}),  # it begins with R, and is of no side
+        (("LowerBack", "LElbow", "LWrist"), "LowerBack", {}),
     ],
 )
 def test_keypoints_of_the_bases_side_are_found(known, base, found):

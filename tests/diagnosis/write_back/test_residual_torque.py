@@ -6,6 +6,7 @@ import pytest
 from robot_xml import robot
 
 from invdyn.diagnosis import residual_torque
+from invdyn.diagnosis.write_back.residual_torque import _fitted
 from invdyn.models import Body
 from invdyn.recordings import InputError, Recording
 
@@ -107,6 +108,11 @@ def test_far_from_the_log_it_returns_to_zero_and_its_band_to_its_size(found):
 def test_a_simulation_that_lacks_nothing_has_none(model, body):
     clean = residual_torque(recorded(model, body, 2, 12.0, None), body)
     assert all(each.size == 0 for each in clean.joints.values())
+
+
+def test_a_joint_that_misses_exactly_nothing_has_none():
+    angles = np.random.default_rng(0).standard_normal((200, 2))
+    assert _fitted(angles, np.zeros(200)).size == 0
 
 
 def test_unknown_torques_are_refused(model, body):

@@ -9,6 +9,7 @@ from grids import grid_posterior
 from one_state import Autoregression
 from oracles import kalman, random_chain, with_gaps
 from pyro.distributions import Normal, StudentT
+from pyro.infer.smcfilter import SMCFailed
 
 from invdyn.inference import SMCOptions, gauss_newton, posterior_linearisation, run_filters
 from invdyn.inference.filters.filtering import adapted_smoother
@@ -168,8 +169,13 @@ def test_a_guide_that_is_fitted_over_paths_finds_what_a_wrong_one_misses():
     def pilot(smoother):
         return run_filters(model, rows, SMCOptions(16, 50), smoother=smoother)
 
+    def half_dead(smoother):
+        if smoother is dead:
+            raise SMCFailed("all particles have weight zero")
+        return pilot(smoother)
+
     torch.manual_seed(0)
-    before = pilot(wrong).log_evidence
-    _, after = refitted_over_paths(model, rows, [wrong], pilot, 2)
+    before, dead = pilot(wrong).log_evidence, object()
+    _, after = refitted_over_paths(model, rows, [dead, wrong], half_dead, 2)
     assert float(after.std()) < 0.5 * float(before.std())
     assert float(after.logsumexp(0)) - np.log(16) == pytest.approx(exact, abs=float(after.std()))

@@ -220,3 +220,5 @@ def test_a_pendulum_whose_only_frame_is_at_its_hinge_has_a_reach(tmp_path):
     dynamics, numbers = dynamics_for(body), body.parameters()
     assert dynamics.levers(numbers).tolist() == [1.0]
     assert dynamics.reach(numbers) == 1.0
+    several = torch.stack([numbers.gravity, 2 * numbers.gravity])  # no branch on a value: it can be traced
+    assert torch.func.vmap(lambda g: dynamics.levers(numbers._replace(gravity=g)))(several).tolist() == [[1.0]] * 2

@@ -138,7 +138,7 @@ def test_motors_that_add_are_a_matrix_row_by_row():
     np.testing.assert_allclose(twice.of(episode, "bend").values, 2 * (expected - 0.3) + 0.3)
 
 
-@pytest.mark.parametrize("given", [[], [3], [{"track": "a"}, {"track": "b", "gear": 0}]])
+@pytest.mark.parametrize("given", [[], [3], [["a", "b"], "c"], [{"track": "a"}, {"track": "b", "gear": 0}]])
 def test_no_sum_of_tracks_is_one_line(given):
     with pytest.raises(InputError, match=r"^joints\.elbow\.torque: expected"):
         LogMap.of({"joints": {"elbow": {"torque": given}}})
