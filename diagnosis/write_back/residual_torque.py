@@ -91,7 +91,7 @@ class ResidualTorque:
         write_text(path, "\n".join(lines) + "\n")
 
     def control(self, model: Any) -> Callable[[Any, Any], None]:
-        """A function (model, data) that puts the torques into `qfrc_applied` of a ``mujoco.MjModel``'s joints.
+        """A function (model, data) that sets `qfrc_applied` of a ``mujoco.MjModel``'s joints, whatever is there before.
 
         For `mujoco.set_mjcb_control`, or a call before each step.
         """

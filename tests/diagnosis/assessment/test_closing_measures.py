@@ -138,6 +138,9 @@ def test_under_no_torque_a_lighter_arm_explains_nothing():
     found = regress(free, BODY, passive=True)
     model = model_on(found.unseen.motion, BODY, True)
     light = {f"body.{name}": 0.1 * model.parameters[f"body.{name}"] for name in ("mass", "inertia")}
+    there = found.unseen
+    left = torque_missed(with_coefficients(model, there.coefficients), there.motion, there.cutoff, model)
+    assert found.torque.after == pytest.approx(np.sqrt((left**2).mean(0)), rel=1e-9)  # by the file's inertia as well
     closing = measured(found, BODY, True, SimpleNamespace(effects=(), model=model.replace(**light)))
     assert closing.torque[SEARCH].share == pytest.approx(0, abs=0.05)
     assert closing.torque[REGRESSION].share > 0.5

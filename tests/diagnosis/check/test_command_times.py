@@ -1,0 +1,28 @@
+"""Commands at other times: rows whose command the log does not have are unknown, and are left out."""
+
+import numpy as np
+
+from invdyn.diagnosis.check.command_times import shifted
+from invdyn.diagnosis.check.torque_regression import smoothed
+
+TIME, NONE = np.arange(5.0), np.nan
+COMMANDS = np.stack([10 + TIME, 20 + TIME], -1)
+
+
+def test_a_command_that_the_log_does_not_have_is_unknown():
+    np.testing.assert_array_equal(shifted(TIME, COMMANDS, 1.0)[:, 0], [NONE, 10, 11, 12, 13])
+    np.testing.assert_array_equal(shifted(TIME, COMMANDS, -2.0)[:, 0], [12, 13, 14, NONE, NONE])
+    one = shifted(TIME, COMMANDS, 1.0, (1,))
+    np.testing.assert_array_equal(one[:, 0], COMMANDS[:, 0])
+    np.testing.assert_array_equal(one[:, 1], [NONE, 20, 21, 22, 23])
+
+
+def test_a_motion_has_no_row_that_an_unknown_command_is_part_of():
+    """One that took a missing number for zero would be less than the ramp."""
+    time = 0.01 * np.arange(300)
+    ramp = np.stack([time, 2 - time], -1)
+    motion = smoothed(time, ramp, ramp, 9)
+    moved = motion.recommanded(np.where(time[:, None] < 0.5, np.nan, ramp))
+    assert 0 < len(motion.q) - len(moved.q) < 60
+    assert moved.q[0, 0] > 0.5
+    np.testing.assert_allclose(moved.torque, motion.torque[-len(moved.q) :], atol=1e-9)
