@@ -37,15 +37,20 @@ Coefficients = Mapping[tuple[str, str, str], float]
 def model_on(motion: MeasuredMotion, body: ArticulatedBody, passive: bool) -> ArmModel:
     """The simulation as it is on the rows of a motion, under its commands.
 
-    Each number of a link is its own there: no moment of inertia follows a mass.
+    A command is the mean of half a step to each side of a row, and constant there. Each number of a link is its own:
+    no moment of inertia follows a mass.
     """
     if isinstance(body, Body) and body.is_chain:
         stated = [replace(e, com=e.nominal("com"), inertia=e.nominal("inertia")) for e in body.links]
         body = replace(body, links=tuple(stated), uncertainty={})
     nothing = np.empty((len(motion.time), 0, body.dimensions))
     rows = Recording(motion.time, nothing, (), None, motion.q, motion.command, body.joint_names)
+    step = float(np.median(np.diff(motion.time)))
     model = arm_problem(rows, body, passive=passive, substeps=1).model
-    return model.in_substeps(max(1, math.ceil(float(np.median(np.diff(motion.time))) / ABRUPT - 1e-9)))
+    model = model.in_substeps(max(1, math.ceil(step / ABRUPT - 1e-9)))
+    if model.command is None:
+        return model
+    return model.driven_by(model.time - step / 2, model.command)
 
 
 def with_coefficients(model: ArmModel, found: Coefficients) -> ArmModel:
