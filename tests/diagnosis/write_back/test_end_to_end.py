@@ -59,15 +59,15 @@ def test_damping_of_a_file_is_corrected(tmp_path):
 
 
 @pytest.mark.long
-def test_a_robots_file_follows_the_regression_where_that_explains_more(tmp_path):
-    """One effect at most is searched for, where joints lack damping and dry friction: the regression has them all."""
+def test_a_robots_file_follows_the_regression_where_that_is_the_answer(tmp_path):
+    """Joints lack damping and dry friction, and the budget begins no search."""
     file, copy = tmp_path / "robot.xml", tmp_path / "corrected.xml"
     file.write_text(robot())
     body = Body.load(file)
     true = robot().replace('damping="0.1"', 'damping="0.35" frictionloss="0.3"')
     true = true.replace('damping="0.3"', 'damping="0.6"')
     log, held_out = (play(true, 3.0, seed).at(slice(None, None, 2)) for seed in (0, 1))
-    found = diagnose(log, body, without=[name for name in EFFECTS if name not in KEPT], most=1, robot=True)
+    found = diagnose(log, body, without=[name for name in EFFECTS if name not in KEPT], robot=True, budget=0.1)
     assert found.closing.shown == "regression"
     written = write_back(found, file, body, copy, held_out, True).written
     to = {(each["place"], each["quantity"]): each["to"] for each in written.changes}
