@@ -34,11 +34,14 @@ def corrected_robot(diagnosis: "Diagnosis", robot: Any, log: Any, mapping: str |
     recordings = found if isinstance(found, list) else [found]
     own = mujoco.MjSpec.from_file(str(robot)) if isinstance(robot, str | Path) else robot
     cause = best(diagnosis)
-    wanted = Correction((), {}) if cause is None else correction(cause, body)
+    tries = [Correction((), {}) if cause is None else correction(cause, body)]
     if cause is not None and recordings and (fit := refine(diagnosis, robot, body, recordings)) is not None:
-        wanted = Correction(fit.changes, {})
+        tries.insert(0, Correction(fit.changes, {}))
     change = changed_model if isinstance(own, mujoco.MjModel) else changed_spec
-    new, left = change(own, body, wanted.changes)
+    for wanted in tries:
+        new, left = change(own, body, wanted.changes)
+        if not left:  # else a number would be missing from those that were fitted with it
+            break
     for words, why in {**wanted.unsaid, **left}.items():
         warnings.warn(f"not changed: {words}: {why}", stacklevel=3)
     return new

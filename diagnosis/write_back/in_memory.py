@@ -21,6 +21,7 @@ from invdyn.models import ArticulatedBody
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 OTHERWISE = "MuJoCo's compiler makes this number of others: change those"
 NO_ROOM = "a compiled model takes no further body: give a mujoco.MjSpec"
+FORGETS = "a compiled model remembers too little of a motor's commands: give a mujoco.MjSpec"
 
 
 def changed_model(model: Any, body: ArticulatedBody, changes: Sequence[FileChange]) -> tuple[Any, dict[str, str]]:
@@ -30,6 +31,9 @@ def changed_model(model: Any, body: ArticulatedBody, changes: Sequence[FileChang
     for several in groups(changes):
         after = copy.copy(now)
         why = NO_ROOM if several[0].quantity == "payload" else numbers.put(after, several)
+        if not why and several[0].quantity == "motor delay":
+            remembered = after.actuator_history[:, 0] * after.opt.timestep
+            why = FORGETS if (after.actuator_delay > remembered).any() else None  # MuJoCo would leave it out
         now = now if why else after
         unsaid |= {each.words: why for each in several if why}
     mujoco.mj_setConst(now, mujoco.MjData(now))

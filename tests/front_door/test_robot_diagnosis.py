@@ -1,11 +1,15 @@
 """`invdyn.diagnose` and `invdyn.corrected` take a simulation from memory as from its file."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from robot_xml import play, robot
 
 import invdyn
+from invdyn.diagnosis.write_back import changes, output_error, write_back
+from invdyn.diagnosis.write_back.changes import FileChange
 from invdyn.models import Body
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.effects import EFFECTS
@@ -54,6 +58,25 @@ def test_what_is_no_log_is_refused_in_one_line(files):
     for log, mapping in (([], None), ([recording, files / "log.csv"], None), (recording, files / "map.toml")):
         with pytest.raises(InputError, match=r"a log's file.*, got (none|both|a recording)"):
             arguments_of(log, files / "robot.xml", mapping, {})
+
+
+def test_numbers_fitted_together_are_set_together_or_not_at_all(files, monkeypatch):
+    """A compiled model has no room for a payload: then the damping that was fitted beside it is not set, either."""
+
+    def change(place, what, value):
+        return FileChange(place, what, 0.1, value, (value, value), "u", "test")
+
+    alone, beside, payload = (
+        change("elbow", "damping", 0.3),
+        change("elbow", "damping", 0.4),
+        change("fore", "payload", 1.0),
+    )
+    monkeypatch.setattr(write_back, "best", lambda diagnosis: "a cause")
+    monkeypatch.setattr(changes, "correction", lambda cause, body: changes.Correction((alone,), {}))
+    monkeypatch.setattr(output_error, "refine", lambda *_: SimpleNamespace(changes=(beside, payload)))
+    model = mujoco.MjModel.from_xml_string(robot())
+    new = invdyn.corrected(None, model, files / "log.csv", mapping=files / "map.toml")
+    assert new.joint("elbow").damping.item() == 0.3
 
 
 @pytest.mark.long

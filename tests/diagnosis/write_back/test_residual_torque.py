@@ -110,6 +110,23 @@ def test_a_simulation_that_lacks_nothing_has_none(model, body):
     assert all(each.size == 0 for each in clean.joints.values())
 
 
+def test_of_few_rows_it_is_the_exact_gaussian_process():
+    """All rows are points: mean cᵀ (C + I/ρ)⁻¹ y, variance s² (1 − cᵀ (C + I/ρ)⁻¹ c) besides the errors'."""
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal((90, 2))
+    y = np.sin(x[:, 0]) + 0.1 * rng.standard_normal(90)
+    own, at = _fitted(x, y), rng.standard_normal((7, 2))
+
+    def kernel(one, other):
+        return np.exp(-0.5 * (((one[:, None] - other) / own.lengths) ** 2).sum(-1))
+
+    whole, near = kernel(x, x) + (own.error / own.size) ** 2 * np.eye(90), kernel(at, x)
+    mean, sd = own(*at.T)
+    np.testing.assert_allclose(mean, near @ np.linalg.solve(whole, y), atol=1e-3)
+    left = own.size**2 * (1 - (near * np.linalg.solve(whole, near.T).T).sum(-1))
+    np.testing.assert_allclose(sd**2, left + own.error**2, rtol=1e-3)
+
+
 def test_a_joint_that_misses_exactly_nothing_has_none():
     angles = np.random.default_rng(0).standard_normal((200, 2))
     assert _fitted(angles, np.zeros(200)).size == 0
