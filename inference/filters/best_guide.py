@@ -19,7 +19,7 @@ has the bootstrap guide alone.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from pyro.infer.smcfilter import SMCFailed
@@ -99,7 +99,8 @@ class Guide:
         """Tensors and the rest, for a checkpoint; :meth:`kept` takes them back."""
         tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
         tensors |= {} if self.opinion is None else {"opinion": self.opinion}
-        return tensors, {name: getattr(self, name) for name in ("name", "num_particles", "reason", "doubt")}
+        state = {name: getattr(self, name) for name in ("name", "num_particles", "reason", "doubt")}
+        return tensors, state | {"expected": self.expected and asdict(self.expected)}
 
     @classmethod
     def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":
@@ -107,8 +108,9 @@ class Guide:
         smoother = None
         if "smoother.path" in tensors:
             smoother = unflattened(GaussianSmoother, tensors, "smoother.")
-        opinion, size = tensors.get("opinion"), int(state["num_particles"])
-        return cls(state["name"], smoother, size, opinion, state["reason"], state["doubt"])
+        expected = Evidence(**state["expected"]) if state.get("expected") else None
+        own = {**state, "num_particles": int(state["num_particles"]), "expected": expected}
+        return cls(smoother=smoother, opinion=tensors.get("opinion"), **own)
 
 
 @dataclass(frozen=True)

@@ -210,3 +210,8 @@ def test_a_joint_whose_torques_are_not_explained_is_named_first(share, said):
     first = check_text(found).splitlines()[0]
     assert first.startswith("right      nothing looks wrong")
     assert ("and yet 40 % or more of the torques is not explained at lift" in first) == said
+
+
+def test_a_doubt_is_told_after_what_looks_right():
+    lines = check_text(Check("log", (), 0.2, {"base": 0.1}, (), None, doubt="they may be shares")).splitlines()
+    assert lines[:2] == ["right      nothing looks wrong", "doubt      they may be shares"]

@@ -9,6 +9,7 @@ from scipy.stats import kstest
 
 from invdyn.inference import Bootstrap, ParticleFilter, SMCOptions, infer_engine, infer_states
 from invdyn.inference.filters.filtering import run_filters
+from invdyn.inference.posterior.engine_contents import generalised_forces
 from invdyn.inference.posterior.engine_problem import driven_joints
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Controls, EngineModel, JointTorques, Keypoints, Observation, Scene
@@ -163,3 +164,13 @@ def test_a_rail_with_a_motor_is_driven_and_one_without_is_not():
     motor = '<actuator><motor joint="rail"/></actuator>'
     assert driven_joints(Scene.of(text.format(""), dimensions=2)) == ("pin",)
     assert driven_joints(Scene.of(text.format(motor), dimensions=2)) == ("rail", "pin")
+
+
+def test_forces_of_a_drive_are_without_gravity_springs_and_damping():
+    text = """<mujoco model="sprung"><worldbody><body><joint name="hinge" axis="0 1 0" damping=".5" stiffness="2"/>
+    <geom size=".04" pos=".2 0 0" mass=".3"/><site name="hand" pos=".2 0 0"/></body></worldbody></mujoco>"""
+    model = EngineModel(text, np.arange(3) * 0.01, drive=JointTorques(("hinge",)))
+    states = np.array([[[1.5, 0.3, -2.0], [-0.7, 1.2, 3.0], [np.nan, 0.0, 0.0]]])
+    at_hinge, _ = generalised_forces(model, states)
+    assert at_hinge[0, :2, 0] == pytest.approx([1.5, -0.7], abs=1e-12)
+    assert np.isnan(at_hinge[0, 2]).all()

@@ -9,7 +9,7 @@ import pytest
 import torch
 from pendulum import LOOSE, PENDULUM, recorded, recording_of
 
-from invdyn.diagnosis.assessment.model_posterior import credible, only, share_explained, weigh
+from invdyn.diagnosis.assessment.model_posterior import credible, only, share_explained, share_of_small_residuals, weigh
 from invdyn.diagnosis.hypotheses.continuation import data_path
 from invdyn.diagnosis.hypotheses.pool import HypothesisPool, considered
 from invdyn.diagnosis.hypotheses.profile_likelihood import refine_searched
@@ -26,6 +26,17 @@ from invdyn.diagnosis.rules import DEFAULT
 from invdyn.models import ArmModel
 from invdyn.models.effects import EFFECTS
 from invdyn.simulate import random_arm, record
+
+
+def test_the_share_of_small_residuals_raises_evidence_to_a_power_and_not_the_prior():
+    """Of two sizes by hand: what the data say counts half."""
+    prior, said = np.log([0.9, 0.1]), np.array([0.0, 3.0])
+    regime = SimpleNamespace(sizes=np.array([0.0, 5.0]), log_prior=prior)
+    cause = SimpleNamespace(effects=(), by_size=said + prior)
+    pool = SimpleNamespace(temper=0.5, leaves=lambda cause: False, pool={"": SimpleNamespace(by_size=prior)})
+    odds = 0.9 / (0.1 * np.exp(1.5))
+    share = share_of_small_residuals(SimpleNamespace(rules=DEFAULT, regime=regime), pool, cause)
+    assert share == pytest.approx(odds / (1 + odds))
 
 
 def test_what_is_little_beside_the_gap_is_nothing_left():

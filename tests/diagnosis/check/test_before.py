@@ -207,3 +207,10 @@ def test_the_option_goes_past_a_refusal(tmp_path, log, monkeypatch):
     assert "the angles are exchanged" in passed
     assert "continued, by --force" in passed
     assert "begun by force: True" in passed
+
+
+def test_a_doubt_is_a_warning(log, monkeypatch):
+    module = importlib.import_module("invdyn.diagnosis.check.check")
+    monkeypatch.setattr(module, "doubted_degrees", lambda *_: "they may be shares")
+    with pytest.warns(UserWarning, match="they may be shares"):
+        assert check_before(Reading(log), ARM) == ()

@@ -1,11 +1,15 @@
 """The guide that pilots choose: right within its errors, or not usable."""
 
+import json
+import math
+
 import pytest
 import torch
 from grids import grid_posterior
 from one_state import Counts, Growth, HeavyTailed, Multiplicative, Positive, Volatility
 
 from invdyn.inference import Guide, SMCOptions, best_guide, gauss_newton, run_filters
+from invdyn.inference.filters.best_guide import MAX_FACTOR, RUN_PARTICLE_STEPS, _most, _Pilot
 from invdyn.inference.filters.second_opinion import evidence
 
 
@@ -104,3 +108,22 @@ def test_a_guide_is_kept_and_comes_back():
         if guide.smoother is not None:
             assert (again.smoother.factors.U == guide.smoother.factors.U).all()
             assert torch.equal(again.opinion, guide.opinion)
+
+
+def test_more_particles_are_expected_to_differ_less_and_a_guide_keeps_that():
+    """By the root of their number; of log-normal evidences 1 in e^(sd²) filters count."""
+    log_evidence = torch.linspace(-4, 4, 16, dtype=torch.float64)
+    few = evidence(log_evidence, "controlled").filter_sd
+    expected = _Pilot("controlled", log_evidence, 50).expected(800)
+    assert expected.filter_sd == pytest.approx(few / 4)
+    assert expected.outer_ess == pytest.approx(16 * math.exp(-((few / 4) ** 2)))
+    guide = Guide("controlled", None, 800, doubt="of modes", expected=expected)
+    tensors, state = guide.to_keep()
+    assert Guide.kept(tensors, json.loads(json.dumps(state))) == guide
+
+
+def test_particles_are_fewer_where_a_row_takes_more_steps():
+    options, steps = SMCOptions(16, 100), RUN_PARTICLE_STEPS / 16 / 500
+    assert _most(options, steps) == 500
+    assert _most(options, steps / 100) == MAX_FACTOR * 100
+    assert _most(options, 100 * steps) == 100  # what was asked for in any case

@@ -325,3 +325,13 @@ def test_a_constant_force_of_a_motor_is_named(tmp_path):
     (tmp_path / "arm.xml").write_text(text)
     with pytest.warns(UserWarning, match=r"constant forces of motors \(pusher\)"):
         load_body(tmp_path / "arm.xml", filmed=False)
+
+
+def test_a_delay_in_memory_is_named(tmp_path):
+    """As of the file, whose delays MuJoCo's compiler is not given."""
+    mujoco = pytest.importorskip("mujoco")
+    text = exact().replace(
+        "</mujoco>", '<actuator><motor name="late" joint="j1" delay=".01" nsample="8"/></actuator></mujoco>'
+    )
+    with pytest.warns(UserWarning, match=r"leaves out .*delays.* \(late\)"):
+        Body.load(mujoco.MjSpec.from_string(text).compile())

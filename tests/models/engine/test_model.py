@@ -169,6 +169,8 @@ def test_many_states_and_rows_at_once_are_the_same_as_one_by_one():
     times = np.array([0, 0.01, 0.02, 0.04, 0.05])
     model = EngineModel(Scene.of(legs.leg_file("stance"), dimensions=2), times)
     check_model(model, np.zeros((5, 8)), needs=("gaussian_transition", "constant_covariance", "transition_density"))
+    each = np.ceil(np.diff(times, prepend=-0.01) / model.scene.model.opt.timestep - 1e-6)
+    assert model.steps_per_row == pytest.approx(each.mean())
     path, rows = model.simulate((3,), seed=0)
     assert torch.isfinite(path).all()
     assert torch.isfinite(rows).all()
