@@ -9,18 +9,19 @@ moves equally under twice the torque. What the torque's prior prefers is no know
 is cut off from it and stays its prior (M. Plummer, "Cuts in Bayesian graphical models", Statistics and Computing 25,
 2015). Each draw of a path has a draw of φ of its own, and the torque
 
-    τ + τ(φ) − τ(φ̄) + o + f tanh(θ̇/v),
+    τ + τ(φ) − τ(φ̄) + o + f tanh(θ̇/v) + b θ̇ + a θ̈,
 
-whose last terms are what joints have besides the body: friction, cables, the zero of a sensor. They may have either
-sign, so that the mean stays the net torque. τ(φ) is linear in m, m c and the moments about the joint (C. Atkeson, C. An
-and J. Hollerbach, "Estimation of inertial parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as
-long as the recording. Bodies whose file states an uncertainty are integrated out as any parameters are instead
-(:mod:`.parameter_draws`), as is right where φ has a part in the motion: commands that are known, or lengths before
-keypoints.
+whose last terms are what joints have besides the body: friction, cables, the zero of a sensor, and what the file's own
+damping, dry friction and rotor are off by. They may have either sign, so that the mean stays the net torque. τ(φ) is
+linear in m, m c and the moments about the joint (C. Atkeson, C. An and J. Hollerbach, "Estimation of inertial
+parameters of manipulator loads and links", IJRR 5, 1986). The error lasts as long as the recording. Bodies whose file
+states an uncertainty are integrated out as any parameters are instead (:mod:`.parameter_draws`), as is right where φ
+has a part in the motion: commands that are known, or lengths before keypoints.
 
     m ~ LogNormal of relative sd `MASS`              c ~ N(c̄, (`CENTRE` s)²) along each axis, s a link's size
     moments all times LogNormal of sd `MOMENT`       g rotated by N(0, `LEVEL`²) about each level axis
     o, f ~ N(0, (`JOINT` S)²)
+    file's damping, dry friction and rotor all times LogNormal of relative sd `FILED`, the difference in b, f and a
 
 with S the weight of the joint's own link times its size: a link and its bearing, or motor, are as large. A joint of a
 frame without mass has the largest S of those on it.
@@ -33,6 +34,7 @@ larger ones (`benchmarks/what_is_off.py --scales`). Wider ones hold more rows, b
 Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -54,13 +56,25 @@ LEVEL = 0.0175
 """rad, one degree: how far from level a bench, or the frame of a laboratory, is."""
 JOINT = 0.03
 """Of a link's weight times its size."""
+FILED = 1.0
+"""Relative sd of a joint's damping, dry friction and rotor, which few have measured and simulations need for their own
+sake. X. B. Peng and others (ICRA 2018) vary damping from .2 to 20 times.
+"""
 SLOW, GRAVITY = 0.05, 9.81
 """v, rad/s (m/s of a slide), below which dry friction is not full; m/s²."""
 CHANGED = ("mass", "com", "inertia", "gravity")
+OF_JOINTS = {
+    "torque_offset": "N·m",
+    "dry_friction": "N·m",
+    "viscous_friction": "N·m·s/rad",
+    "rotor_inertia": "kg·m²",
+}
+"""Variables o, f, b and a of a posterior, with their units where lengths are metres."""
 NOTE = (
     "the body's file does not say how well its numbers are known: the bands count masses and moments as known to "
     f"{MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, level to 1°, and what joints take besides, as by "
-    f"friction, to {JOINT:.0%} of a link's weight times its size"
+    f"friction, to {JOINT:.0%} of a link's weight times its size; damping, dry friction and rotors that it has, to "
+    f"{FILED:.0%}"
 )
 
 
@@ -112,9 +126,23 @@ def joint_weights(model: ArmModel) -> Tensor:
     return torch.stack([own[place] for place in places])
 
 
-def joint_losses(offset: Tensor, friction: Tensor, velocity: Tensor) -> Tensor:
-    """Return o + f tanh(θ̇/v) (..., K) of numbers (..., K) at velocities (..., K)."""
-    return offset + friction * torch.tanh(velocity / SLOW)
+def drawn_joints(model: ArmModel, shape: tuple[int, ...]) -> dict[str, Tensor]:
+    """Draws of what joints have besides the body, o, f, b and a by name, each (*shape, K); see :data:`OF_JOINTS`."""
+    size = joint_weights(model)
+    offset, friction = (JOINT * size * torch.randn(*shape, len(size)).to(size) for _ in range(2))
+
+    def off(part: str) -> Tensor:
+        if f"body.{part}" not in model.parameters:
+            return torch.zeros_like(offset)
+        return model.parameters[f"body.{part}"] * (prior(1.0, FILED).sample(offset.shape) - 1).to(size)
+
+    return dict(zip(OF_JOINTS, (offset, friction + off("friction"), off("damping"), off("armature")), strict=True))
+
+
+def joint_losses(joints: Mapping[str, Tensor], velocity: Tensor) -> Tensor:
+    """Return o + f tanh(θ̇/v) + b θ̇ (..., K) of numbers (..., K) at velocities (..., K)."""
+    offset, friction, damping, _ = (joints[name] for name in OF_JOINTS)
+    return offset + friction * torch.tanh(velocity / SLOW) + damping * velocity
 
 
 def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Contents:
@@ -122,19 +150,15 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
 
     Args:
         contents: of the body as its file has it, whose ``posterior`` is changed: "torque" is that of a drawn body,
-            "stated_torque" that of the file's. The numbers that differ between draws become variables, joints' o and f
-            as "torque_offset" and "dry_friction".
+            "stated_torque" that of the file's. The numbers that differ between draws become variables, joints' own
+            as those of :data:`OF_JOINTS`.
         model: of the arm, in float64.
         paths: (M, R, T, D) draws of the states.
     """
     nominal, other = model.body_parameters(), drawn(model, tuple(paths.shape[:2]))
     _, q, qd = model.split(paths)
     qdd = model.acceleration(paths, torch.arange(paths.shape[-2]), nominal)
-    size = joint_weights(model)
-    joints = {
-        name: JOINT * size * torch.randn(*paths.shape[:2], len(size)).to(size)
-        for name in ("torque_offset", "dry_friction")
-    }
+    joints = drawn_joints(model, tuple(paths.shape[:2]))
     # One body for all rows of a draw; what does not differ between draws broadcasts as it is.
     wide = other._replace(**{name: getattr(other, name).unsqueeze(2) for name in CHANGED})
     q, qd, qdd = (each.contiguous() for each in torch.broadcast_tensors(q, qd, qdd))
@@ -142,15 +166,16 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
     if (moved := model.base_motion(paths)) is not None:  # gravity is then g − b̈
         felt = moved[2].contiguous()
         change = change - model.dynamics.uniform_load(q, felt, wide) + model.dynamics.uniform_load(q, felt, nominal)
-    offset, friction = (each.unsqueeze(2) for each in joints.values())
-    change = change + joint_losses(offset, friction, qd)
+    taken = {name: value.unsqueeze(2) for name, value in joints.items()}
+    change = change + joint_losses(taken, qd) + taken["rotor_inertia"] * qdd
     dims, torque = contents.posterior["torque"]
     posterior = contents.posterior | {"torque": (dims, torque + change), "stated_torque": (dims, torque)}
     for name, (own, _) in model.body.described(nominal).items():
         if name in CHANGED:
             posterior[name] = [*DRAWS, *own], getattr(other, name)
     posterior |= {name: ([*DRAWS, "joint"], value) for name, value in joints.items()}
-    units = contents.units | dict.fromkeys(("stated_torque", *joints), contents.units["torque"])
+    torque_unit = contents.units["torque"]
+    units = contents.units | OF_JOINTS | dict.fromkeys(("stated_torque", "torque_offset", "dry_friction"), torque_unit)
     attributes = contents.attributes | {"body_doubt": NOTE}
     return Contents(
         posterior,

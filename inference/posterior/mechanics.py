@@ -18,7 +18,7 @@ import numpy as np
 import torch
 import xarray as xr
 
-from invdyn.inference.posterior.body_doubt import joint_losses
+from invdyn.inference.posterior.body_doubt import OF_JOINTS, joint_losses
 from invdyn.models import ArticulatedBody, BodyParameters, dynamics_for, planar_dynamics
 from invdyn.models.bodies.protocol import kept_as
 
@@ -41,13 +41,13 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         return tensor(constants[part])
 
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
-    acting = tau
+    acting, rotors = tau, None
     if "dry_friction" in posterior:  # the torque has what joints take, which does not move the body
-        offset, friction = (
-            tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2)
-            for name in ("torque_offset", "dry_friction")
-        )
-        acting = tau - joint_losses(offset, friction, qd)
+        joints = {
+            name: tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2).expand_as(tau)
+            for name in OF_JOINTS
+        }
+        acting, rotors = tau - joint_losses(joints, qd), joints["rotor_inertia"]
     numbers = BodyParameters if body is None else type(body.parameters())
     dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
     own = numbers(*(constant(kept_as(part)) for part in numbers._fields))
@@ -62,7 +62,7 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         ),
         "gravity_load": (joint, dynamics.gravity_load(q, own), torque),
         "coriolis": (joint, dynamics.coriolis(q, qd, own), torque),
-        "acceleration": (joint, dynamics.forward(q, qd, acting, own), "rad/s²"),
+        "acceleration": (joint, dynamics.forward(q, qd, acting, own, rotors), "rad/s²"),
         "kinetic_energy": (frame, dynamics.kinetic_energy(q, qd, own), energy),
         "potential_energy": (frame, dynamics.potential_energy(q, own), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),

@@ -11,11 +11,12 @@ from invdyn.cli import app
 from invdyn.inference import infer, load_posterior, mechanics, pooled
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior import body_doubt
-from invdyn.inference.posterior.body_doubt import CENTRE, CHANGED, JOINT, LEVEL, MASS, MOMENT, SLOW
+from invdyn.inference.posterior.body_doubt import CENTRE, CHANGED, FILED, JOINT, LEVEL, MASS, MOMENT, OF_JOINTS, SLOW
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.posterior.problem import Contents
 from invdyn.models import ArmModel, Body, Joint, Link, planar_body, write_mjcf
 from invdyn.models.articulated.moving_base import MovingBase
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.effects.inertias import size_of
 from invdyn.recordings import Recording
 
@@ -94,7 +95,7 @@ def test_each_draw_keeps_its_motion_under_its_own_body(file):
     body = Body.load(file, dimensions=3)
     found = infer(of_encoders(), body, **SIZES)
     own = mechanics(found, body)["acceleration"].values
-    numbers = ["mass", "com", "inertia", "gravity", "torque", "torque_offset", "dry_friction"]
+    numbers = ["mass", "com", "inertia", "gravity", "torque", *OF_JOINTS]
     stated = found.copy()
     stated.posterior = found.posterior.drop_vars(numbers).rename(stated_torque="torque")
     np.testing.assert_allclose(own, mechanics(stated, body)["acceleration"].values, atol=1e-9)
@@ -160,6 +161,26 @@ def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
     assert ((expected - sampled) / torch.outer(scale, scale)).abs().max() < 0.08
 
 
+def test_what_a_file_gives_joints_is_known_to_its_own_size():
+    """Damping, dry friction and a rotor are off by factors whose relative sd is `FILED`, each by itself."""
+    parts = JointParts(damping=0.4, friction=0.3, armature=0.02)
+    links = [replace(link, parts=parts) for link in TREE.links[:1]] + list(TREE.links[1:])
+    model = ArmModel(Body("robot", links), 0.04 * np.arange(3))
+    with seeded(0):
+        with_parts = body_doubt.drawn_joints(model, (40_000,))
+    filed = {"viscous_friction": 0.4, "rotor_inertia": 0.02}
+    own = JOINT * body_doubt.joint_weights(model)[0].item()
+    for name, size in {**filed, "torque_offset": own, "dry_friction": np.hypot(0.3 * FILED, own)}.items():
+        assert with_parts[name][:, 0].mean().item() == pytest.approx(0, abs=0.03 * size)
+        # a log-normal of relative sd 1 has a kurtosis of 41, so that 40,000 draws tell its sd to 1.6 %
+        assert with_parts[name][:, 0].std().item() == pytest.approx(size * (FILED if name in filed else 1), rel=0.06)
+    assert not with_parts["viscous_friction"][:, 1].any()
+    moved = {name: value[:2] for name, value in with_parts.items()}
+    velocity = torch.tensor([2.0, -1.0], dtype=torch.float64)
+    expected = moved["torque_offset"] + moved["dry_friction"] * velocity.sign() + moved["viscous_friction"] * velocity
+    np.testing.assert_allclose(body_doubt.joint_losses(moved, velocity), expected, rtol=1e-9)
+
+
 def test_a_joint_is_as_large_as_what_it_carries():
     """A frame without mass is that of the link on it, and a slide has a force."""
     carriage = Link("rail", Joint("along", "slide", axis=(1.0, 0.0, 0.0)), mass=3.0, com=(0.0, 0.0, 0.1))
@@ -193,6 +214,26 @@ def test_a_body_that_is_heavier_needs_as_much_more_torque(base, monkeypatch):
     contents = Contents(torque, {}, {}, {}, {}, {"torque": "N·m"})
     found = body_doubt.with_doubted_body(contents, model, paths).posterior
     torch.testing.assert_close(found["torque"][1], 1.1 * found["stated_torque"][1])
+
+
+def test_joints_take_torque_by_their_motion(monkeypatch):
+    """Of a body as its file has it, a draw's torque is more by o + f tanh(θ̇/v) + b θ̇ + a θ̈."""
+    model = ArmModel(replace(TREE, exact=False), 0.04 * np.arange(6))
+    p = model.body_parameters()
+
+    def same(model, shape):
+        return p._replace(**{name: getattr(p, name).expand(*shape, *getattr(p, name).shape) for name in CHANGED})
+
+    monkeypatch.setattr(body_doubt, "drawn", same)
+    paths = torch.as_tensor(np.random.default_rng(0).normal(size=(3, 2, 6, model.state_dim)))
+    contents = Contents({"torque": ([], model.net_torque(paths))}, {}, {}, {}, {}, {"torque": "N·m"})
+    _, _, qd = model.split(paths)
+    qdd = model.acceleration(paths, torch.arange(6), p)
+    for name, expected in zip(OF_JOINTS, (torch.ones_like(qd), torch.tanh(qd / SLOW), qd, qdd), strict=True):
+        taken = {each: torch.full((3, 2, 2), float(each == name)).double() for each in OF_JOINTS}
+        monkeypatch.setattr(body_doubt, "drawn_joints", lambda model, shape, taken=taken: taken)
+        found = body_doubt.with_doubted_body(contents, model, paths).posterior
+        torch.testing.assert_close(found["torque"][1] - found["stated_torque"][1], expected, atol=1e-9, rtol=1e-9)
 
 
 @pytest.mark.long
