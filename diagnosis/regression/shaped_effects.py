@@ -129,8 +129,8 @@ class Along:
         """All rows as one moment each."""
         time = torch.as_tensor(self.motion.time)[:, None]
         step = torch.full_like(time, float(np.median(np.diff(self.motion.time))))
-        given = torch.as_tensor(self.motion.torque)
-        return Situation(self.q, self.qd, given, time, time - time[0], step, self.numbers, self.dynamics)
+        # motors as the links need them, as for a gain: what was given has all that is missing, and would imitate it
+        return Situation(self.q, self.qd, self.required, time, time - time[0], step, self.numbers, self.dynamics)
 
     @cached_property
     def command(self) -> Command:
