@@ -100,7 +100,7 @@ class Guide:
         tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
         tensors |= {} if self.opinion is None else {"opinion": self.opinion}
         state = {name: getattr(self, name) for name in ("name", "num_particles", "reason", "doubt")}
-        return tensors, state | {"expected": self.expected and asdict(self.expected)}
+        return tensors, state | {"expected": {} if self.expected is None else asdict(self.expected)}
 
     @classmethod
     def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":
@@ -108,9 +108,9 @@ class Guide:
         smoother = None
         if "smoother.path" in tensors:
             smoother = unflattened(GaussianSmoother, tensors, "smoother.")
-        expected = Evidence(**state["expected"]) if state.get("expected") else None
-        own = {**state, "num_particles": int(state["num_particles"]), "expected": expected}
-        return cls(smoother=smoother, opinion=tensors.get("opinion"), **own)
+        opinion, size = tensors.get("opinion"), int(state["num_particles"])
+        expected = Evidence(**found) if (found := state.get("expected")) else None
+        return cls(state["name"], smoother, size, opinion, state["reason"], state["doubt"], expected)
 
 
 @dataclass(frozen=True)
