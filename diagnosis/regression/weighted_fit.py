@@ -148,7 +148,8 @@ def _by_numbers(effects: LinearEffects, fit: Fitted) -> Fitted:
             if p in shares and effects.places[link] == shares[p]:
                 turn[len(kept) + row, n] = effects.own_numbers[link]
     columns = {place: tuple(p for p in links if effects.places[p] == place) for place in shares.values()}
-    merged = {s.kind: (s, g) for s, g in zip(chosen.statements, chosen.gain or [0.0] * 99, strict=False)}
+    gains = chosen.gain or [0.0] * len(chosen.statements)
+    merged = {s.kind: (s, g) for s, g in zip(chosen.statements, gains, strict=True)}
     share, gain = merged.pop(LINK_MASS)
     own, other = merged.get(INERTIAL, (replace(share, kind=INERTIAL, columns={}), gain))
     merged[INERTIAL] = replace(own, columns={**own.columns, **columns}), max(gain, other)
