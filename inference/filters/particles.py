@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import torch
@@ -34,7 +34,7 @@ class FilterResult:
     log_weights: Tensor
     log_twist: Tensor | None
     ancestors: Tensor
-    before: "Callable[[], FilterResult] | None" = None
+    before: "Callable[[], FilterResult] | None" = field(default=None, kw_only=True)
 
     @property
     def rows(self) -> int:

@@ -101,7 +101,7 @@ def smc(
     if not usable and (found := linearised(evidence, evidence.reason)) is not None:
         return found
     dropped = torch.empty(0)  # the particles stay where they were made
-    result = FilterResult(**joined, states=dropped, log_weights=dropped, log_twist=None, ancestors=dropped)
+    result = FilterResult(**joined, states=dropped, log_weights=dropped, log_twist=None, ancestors=dropped, before=None)
     with seeded(derived(seed, PREDICTIVE)):
         return to_inference_data(
             problem,
