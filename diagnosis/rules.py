@@ -391,6 +391,9 @@ class Fixed:
     max_whitened: int = number(2**25, "numbers", "for all sizes at once: 256 MB", "memory")
     rounding: float = number(1e-9, "1", "smaller relative differences are rounding", "float64")
     negligible: float = number(1e-6, "1", "smaller relative differences, angles and rates are none", "float64")
+    time_slack: float = number(
+        1e-3, "steps", "by which equal times differ: seconds since 1970 come to .2 µs", "float64"
+    )
     uneven_spacing: float = number(1e-3, "1", "relative; less is even", "chosen")
     diverged_sds: float = number(1e10, "sd", "larger changes of the data leave no digits", "float64")
     failed_score: float = number(-1e9, "nats", "of a width with which the simulation does not run", "float64")

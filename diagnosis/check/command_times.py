@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 
 from invdyn.diagnosis.check.torque_fit import TorqueFit, share
 from invdyn.diagnosis.check.torque_regression import Motion
-from invdyn.diagnosis.rules import Rules
+from invdyn.diagnosis.rules import FIXED, Rules
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,9 @@ def shifted(
 
     NaN where the log has none.
     """
-    at = np.searchsorted(time, time - delay + 1e-9, side="right") - 1
-    there = (at >= 0) & (time - delay <= time[-1] + 1e-9)
+    slack = FIXED.time_slack * (time[-1] - time[0]) / (len(time) - 1)
+    at = np.searchsorted(time, time - delay + slack, side="right") - 1
+    there = (at >= 0) & (time - delay <= time[-1] + slack)
     moved = np.where(there[:, None], commands[at.clip(0, len(time) - 1)], np.nan)
     if not joints:
         return moved

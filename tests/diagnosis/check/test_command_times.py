@@ -26,3 +26,9 @@ def test_a_motion_has_no_row_that_an_unknown_command_is_part_of():
     assert 0 < len(motion.q) - len(moved.q) < 60
     assert moved.q[0, 0] > 0.5
     np.testing.assert_allclose(moved.torque, motion.torque[-len(moved.q) :], atol=1e-9)
+
+
+def test_seconds_since_1970_shift_the_same_rows():
+    time, commands = 0.02 * np.arange(40), np.random.default_rng(0).normal(size=(40, 2))
+    for delay in (0.06, -0.14):
+        np.testing.assert_array_equal(shifted(1.7e9 + time, commands, delay), shifted(time, commands, delay))
