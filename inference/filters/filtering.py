@@ -100,9 +100,8 @@ def adapted(
 ) -> tuple[GaussianSmoother, torch.Tensor | None]:
     """A smoother with factors refitted on pilot runs (:mod:`.iterated`), and the log-evidences (M,) of its own, if any.
 
-    The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever
-    guides the steadier filters; of a model with kinks there is one, which is fitted again over pilots' paths. A
-    bootstrap run ``blind``
+    The start is Gauss–Newton's linearisation at the mode or one over the posterior, whichever guides the steadier
+    filters; of a model with kinks there is one, which is fitted again over pilots' paths. A bootstrap run ``blind``
     that kept all rows gives a second path to begin at, its most probable, and points to refit on: where log p(x, y)
     has many modes a search from afar ends in any.
     Dynamics that are not Gaussian are taken for their approximation (:mod:`.moment_matching`) but in the pilots'

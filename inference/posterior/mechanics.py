@@ -1,6 +1,7 @@
 """Everything mechanical that follows from a posterior, frame by frame and draw by draw.
 
-With D(θ), c(θ), h(θ, θ̇) of the body's equation of motion D θ̈ + h + c = τ (:mod:`invdyn.models`):
+With D(θ), c(θ), h(θ, θ̇) of the body's equation of motion D θ̈ + h + c = τ (:mod:`invdyn.models`), and of θ̈ with the
+friction, springs and rotors that its file gives the joints:
 
     inertia_matrix    D       [chain, draw, time, joint, joint_2]  kg·m²
     gravity_load      c       [chain, draw, time, joint]           N·m
@@ -20,6 +21,7 @@ import xarray as xr
 
 from invdyn.inference.posterior.body_doubt import OF_JOINTS, joint_losses
 from invdyn.models import ArticulatedBody, BodyParameters, dynamics_for, planar_dynamics
+from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.protocol import kept_as
 
 
@@ -41,13 +43,17 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         return tensor(constants[part])
 
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
-    acting, rotors = tau, None
-    if "dry_friction" in posterior:  # the torque has what joints take, which does not move the body
-        joints = {
-            name: tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2).expand_as(tau)
-            for name in OF_JOINTS
-        }
-        acting, rotors = tau - joint_losses(joints, qd), joints["rotor_inertia"]
+    parts = [each or NOTHING for each in (() if body is None else body.joint_parts)] or [NOTHING] * q.shape[-1]
+    stiffness, rest, *filed = (
+        tau.new_tensor([getattr(each, name) for each in parts])
+        for name in ("stiffness", "rest", "friction", "damping", "armature")
+    )
+    joints = dict(zip(OF_JOINTS, (torch.zeros(q.shape[-1]).to(q), *filed), strict=True))
+    if "dry_friction" in posterior:  # what joints take besides
+        for name, own in joints.items():
+            joints[name] = own + tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2)
+    joints = {name: value.expand_as(q) for name, value in joints.items()}
+    acting = tau - joint_losses(joints, qd) - stiffness * (q - rest)  # the others do not move the body
     numbers = BodyParameters if body is None else type(body.parameters())
     dynamics = planar_dynamics(q.shape[-1]) if body is None else dynamics_for(body)
     own = numbers(*(constant(kept_as(part)) for part in numbers._fields))
@@ -62,7 +68,7 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         ),
         "gravity_load": (joint, dynamics.gravity_load(q, own), torque),
         "coriolis": (joint, dynamics.coriolis(q, qd, own), torque),
-        "acceleration": (joint, dynamics.forward(q, qd, acting, own, rotors), "rad/s²"),
+        "acceleration": (joint, dynamics.forward(q, qd, acting, own, joints["rotor_inertia"]), "rad/s²"),
         "kinetic_energy": (frame, dynamics.kinetic_energy(q, qd, own), energy),
         "potential_energy": (frame, dynamics.potential_energy(q, own), energy),
         "power": (joint, dynamics.power(qd, tau), "W" if si else f"kg·({unit})²/s³"),

@@ -41,6 +41,21 @@ class Equations:
     potential_energy: Any  # V
     keypoints: Any  # tips, (K, 2)
 
+    def in_joint_angles(self) -> tuple:
+        """Return D (K, K), h (K, 1), c (K, 1) in the joint angles θ and velocities θ̇, and those symbols.
+
+        These are the equations as papers print them: D θ̈ + h + c = τ.
+        """
+        import sympy as sp
+
+        K = len(self.symbols["phi"])
+        q, qd = sp.symbols(f"theta1:{K + 1}", real=True), sp.symbols(f"thetadot1:{K + 1}", real=True)
+        A = sp.Matrix(K, K, lambda i, j: 1 if j <= i else 0)
+        joint = dict(zip(self.symbols["phi"], A * sp.Matrix(q), strict=True))
+        joint.update(zip(self.symbols["w"], A * sp.Matrix(qd), strict=True))
+        M, b, G = (matrix.subs(joint) for matrix in (self.inertia, self.coriolis, self.gravity_load))
+        return A.T * M * A, A.T * b, A.T * G, q, qd
+
 
 @cache
 def derive(num_joints: int) -> Equations:

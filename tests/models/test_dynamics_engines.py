@@ -118,24 +118,11 @@ def test_two_uniform_rods_are_the_equations_that_the_paper_prints(kind):
     assert_close(dynamics.gravity_load(q, p), torch.stack([c1, c2], -1), 1e-14)
 
 
-def in_joint_angles(equations):
-    """D (K, K), h (K, 1), c (K, 1) of D θ̈ + h + c = τ, as papers print them, and the symbols θ and θ̇."""
-    import sympy as sp
-
-    K = len(equations.symbols["phi"])
-    q, qd = sp.symbols(f"theta1:{K + 1}", real=True), sp.symbols(f"thetadot1:{K + 1}", real=True)
-    A = sp.Matrix(K, K, lambda i, j: 1 if j <= i else 0)
-    joint = dict(zip(equations.symbols["phi"], A * sp.Matrix(q), strict=True))
-    joint.update(zip(equations.symbols["w"], A * sp.Matrix(qd), strict=True))
-    M, b, G = (matrix.subs(joint) for matrix in (equations.inertia, equations.coriolis, equations.gravity_load))
-    return A.T * M * A, A.T * b, A.T * G, q, qd
-
-
 def test_the_symbolic_equations_of_one_rod_read_as_in_a_textbook():
     import sympy as sp
 
     equations = derive(1)
-    D, h, c, (theta,), _ = in_joint_angles(equations)
+    D, h, c, (theta,), _ = equations.in_joint_angles()
     m, r, inertia = (equations.symbols[word][0] for word in ("mass", "com", "inertia"))
     gx, gy = equations.symbols["gravity"]
     assert sp.simplify(D[0] - (m * r**2 + inertia)) == 0
@@ -148,7 +135,7 @@ def test_the_symbolic_equations_in_joint_angles_are_what_is_evaluated(K):
     import sympy as sp
 
     equations = derive(K)
-    D, h, c, theta, thetadot = in_joint_angles(equations)
+    D, h, c, theta, thetadot = equations.in_joint_angles()
     p, q, qd, _ = random_case(K, 3)
     values = dict(zip([*theta, *thetadot], [*q.tolist(), *qd.tolist()], strict=True))
     for word in ("length", "mass", "com", "inertia", "gravity"):

@@ -90,15 +90,23 @@ def test_what_is_stated_or_commanded_is_left_as_it_is(file, tmp_path):
     assert "stated_torque" not in plain.posterior
 
 
-def test_each_draw_keeps_its_motion_under_its_own_body(file):
-    """D θ̈ + h + c = τ with the numbers of each draw, as :func:`.mechanics` takes them."""
+@pytest.mark.parametrize("parts", [None, JointParts(damping=0.4, armature=0.02, stiffness=0.7, rest=0.2)])
+def test_each_draw_keeps_its_motion_under_its_own_body(file, parts):
+    """D θ̈ + h + c = τ with the numbers of each draw, as :func:`.mechanics` takes them, and what the joints have."""
     body = Body.load(file, dimensions=3)
+    body = replace(body, links=[replace(link, parts=parts) for link in body.links])
     found = infer(of_encoders(), body, **SIZES)
     own = mechanics(found, body)["acceleration"].values
     numbers = ["mass", "com", "inertia", "gravity", "torque", *OF_JOINTS]
     stated = found.copy()
     stated.posterior = found.posterior.drop_vars(numbers).rename(stated_torque="torque")
     np.testing.assert_allclose(own, mechanics(stated, body)["acceleration"].values, atol=1e-9)
+    model = arm_problem(of_encoders(), body, parameters=KNOWN).model
+    state = np.concatenate([found.posterior[name].values for name in ("angle", "velocity")], -1)
+    torque = found.posterior["stated_torque"].values
+    whole = np.concatenate([torque, np.zeros((*torque.shape[:-1], model.state_dim - 6)), state], -1)
+    moved = model.acceleration(torch.as_tensor(whole), torch.arange(len(model.time)), model.body_parameters())
+    np.testing.assert_allclose(own, moved, atol=1e-9)
     assert found.posterior["mass"].dims == ("chain", "draw", "link")
 
 
