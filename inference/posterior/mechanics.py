@@ -50,8 +50,8 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
     )
     joints = dict(zip(OF_JOINTS, (torch.zeros(q.shape[-1]).to(q), *filed), strict=True))
     if "dry_friction" in posterior:  # what joints take besides
-        for name, own in joints.items():
-            joints[name] = own + tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2)
+        for name, value in joints.items():
+            joints[name] = value + tensor(posterior[name].transpose("chain", "draw", "joint")).unsqueeze(2)
     joints = {name: value.expand_as(q) for name, value in joints.items()}
     acting = tau - joint_losses(joints, qd) - stiffness * (q - rest)  # the others do not move the body
     numbers = BodyParameters if body is None else type(body.parameters())
