@@ -1,7 +1,8 @@
 """An MJCF file and what it includes as one text that compiling reads nothing else for, and that has bounds.
 
 Kept is what mass, hinges and the named forces of a body depend on; the rest (pictures, height fields, sensors, soft
-bodies' grids, plugins) is dropped before MuJoCo sees it. Includes and meshes are read here, from the file's own folder
+bodies' grids, plugins) is dropped before MuJoCo sees it. What MJCF does not have stays, so that MuJoCo says so; numbers
+must be numbers. Includes and meshes are read here, from the file's own folder
 alone, and handed over as bytes. Elements that multiply themselves are refused: MuJoCo can write them out.
 """
 
@@ -13,7 +14,8 @@ from xml.etree.ElementTree import Element, tostring
 from invdyn.models.bodies.body_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS, check_root, nearby, parse, read_nearby
 from invdyn.models.bodies.scalars import BodyError
 
-SECTIONS = ("compiler", "option", "default", "asset", "worldbody", "contact", "equality", "tendon", "actuator")
+UNREAD = ("size", "visual", "statistic", "custom", "extension", "deformable", "keyframe", "sensor")
+"""Sections that are dropped where nobody asks for them."""
 DROPPED = {"material", "texture", "hfield", "skin", "camera", "light", "plugin", "lengthrange", "model"}
 MULTIPLE = {"replicate", "attach", "composite", "flexcomp"}
 UNUSED = ("material", "user", "actdim", "nsample", "interp", "delay")
@@ -44,9 +46,12 @@ def one_text(root: Element, path: str, more: Sequence[str] = ()) -> tuple[str, d
         if each.tag == "plugin":
             name = each.get("plugin") or each.get("name") or each.get("instance") or "?"
             left_out.setdefault("plugins", []).append(name)
+        for name, value in each.attrib.items():
+            if "nan" in value.lower().replace("-", " ").split():
+                raise BodyError(f'{path}: expected numbers, got {name}="{value:.60}" of <{each.tag}>')
         if "delay" in each.attrib:
             left_out.setdefault("delays", []).append(each.get("name", each.tag))
-    root[:] = [each for each in root if each.tag in (*SECTIONS, *more)]
+    root[:] = [each for each in root if each.tag in more or each.tag not in UNREAD]
     if (count := sum(1 for _ in root.iter("body"))) > MOST_BODIES:
         raise BodyError(f"{path}: expected at most {MOST_BODIES} bodies, got {count}")
     where_meshes = _mesh_folder(root)

@@ -1,8 +1,8 @@
 """A MuJoCo model as sensors and posteriors see it: names of its sites, coordinates and bodies; whether it is usable.
 
 What a file may hold is MuJoCo's to say. What no inference can use is refused here in one line: plugins, delays and
-other memory that is no part of a state, more shapes than contacts can be searched for, a start inside the floor, and a
-simulation that runs away by itself.
+other memory that is no part of a state, more shapes than contacts can be searched for, more joints than slopes can be
+taken for, a start inside the floor, and a simulation that has no inertia or runs away by itself.
 
 Shapes: nq entries of qpos, nv degrees of freedom, na activations.
 """
@@ -29,6 +29,8 @@ KEPT_SECTIONS = ("keyframe", "sensor", "statistic")
 """Of a file, besides those that a body is made of."""
 MAX_COLLIDING = 500
 """Shapes that may touch something, each of which may touch all others."""
+MAX_FREEDOM = 200
+"""Degrees of freedom: a row's slopes take a simulation for each, which takes longer the more there are."""
 MAX_START_DEPTH = 0.02
 """m: a shape that starts deeper than this in another one is shot out of it."""
 TRIAL, TRIAL_STEPS = 0.2, 10_000
@@ -191,6 +193,10 @@ def _check(mujoco: Any, model: Any, where: str) -> None:
     """Raise BodyError for a model without motion, with other memory than qpos, qvel, act, or with too many shapes."""
     if model.nv == 0:
         raise BodyError(f"{where}: expected a joint, got none: nothing moves")
+    if model.nv > MAX_FREEDOM:
+        raise BodyError(f"{where}: expected at most {MAX_FREEDOM} degrees of freedom, got {model.nv}: weld some")
+    if not model.opt.timestep > 0:
+        raise BodyError(f"{where}: expected a timestep above 0 s, got {model.opt.timestep:g}")
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     if state != 1 + model.nq + model.nv + model.na:
         raise BodyError(f"{where}: plugins, delays and plastic parts have states that cannot be inferred: remove them")
@@ -229,6 +235,11 @@ def _check_start(mujoco: Any, model: Any, where: str) -> None:
                     f"{where}: the simulation runs away by itself after {(step + 1) * model.opt.timestep:.3g} s: a "
                     "smaller timestep, softer contacts or weaker servos keep it finite"
                 )
+        if (inertia := data.warning[mujoco.mjtWarning.mjWARN_INERTIA]).number:
+            raise BodyError(
+                f"{where}: the inertia at {dof_names(model)[inertia.lastinfo]} is not above 0: give its bodies mass, "
+                "and no joint a negative armature or damping"
+            )
     finally:
         model.opt.disableflags = model_flags
 

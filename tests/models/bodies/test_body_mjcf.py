@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from invdyn.models import Body, BodyError, dynamics_for, load_body, planar_dynamics
+from invdyn.models.bodies import body_mjcf
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -251,8 +252,9 @@ def test_defaults_and_their_classes(tmp_path):
 def test_warnings_of_mujoco_are_ours_and_leave_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     before = mujoco.get_mju_user_warning()
+    (tmp_path / "arm.xml").write_text(exact().replace('<geom type="capsule"', '<geom type="capsule" solmix="nan"'))
     with pytest.warns(UserWarning, match="MuJoCo: .*NaN"):
-        read(exact().replace('<geom type="capsule"', '<geom type="capsule" solmix="nan"'), tmp_path)
+        body_mjcf.of_compiled(tmp_path / "arm.xml", "arm")
     assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
     assert mujoco.get_mju_user_warning() == before
 

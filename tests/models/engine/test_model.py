@@ -330,6 +330,22 @@ BAD = {
         legs.leg_file("hop").replace("<worldbody>", '<extension><plugin plugin="a.b"/></extension><worldbody>'),
         r"plugins \(a\.b\) are no part of a state",
     ),
+    "a mass that is no number": (
+        legs.leg_file("hop").replace('".3"', '"nan"'), 'expected numbers, got mass="nan" of <geom>'
+    ),
+    "a misspelt section": (
+        legs.leg_file("hop").replace("</worldbody>", "</worldbody><actuators/>"), "unrecognized element"
+    ),
+    "a damping that drives": (
+        legs.leg_file("hop").replace('damping=".05"', 'damping="-100"'), "the inertia at knee is not above 0"
+    ),
+    "no timestep": (
+        legs.leg_file("hop").replace('timestep="0.001"', 'timestep="0"'), "expected a timestep above 0 s, got 0"
+    ),
+    "too many joints": (
+        legs.leg_file("hop").replace("<worldbody>", "<worldbody>" + '<body><freejoint/><geom size=".1"/></body>' * 40),
+        "expected at most 200 degrees of freedom, got 243",
+    ),
     "a height field": (
         legs.leg_file("hop").replace("<worldbody>", '<worldbody><geom type="hfield" hfield="h"/>'),
         "a height field is not read",
