@@ -140,10 +140,13 @@ def as_real(answer: Mapping, found: Mapping, groups: Sequence[Sequence[str]]) ->
     closing = found.get("closing") or {}
     torque = (closing.get("torque") or {}).get(closing.get("shown"), {})
     true = [*odd, *usual]
-    said = label_of([entry for entry in entries if entry["effect"] not in names])
+    if closing.get("shown") == "regression":  # which may say one of several effects at a place
+        said = [(s, p) for s in found["regression"]["statements"] for p in s["places"]]
+        groups = [*groups, *([f"{e}.{p}" for e in (s["effect"], *s.get("rivals", {}).get(p, ()))] for s, p in said)]
+    label = label_of([entry for entry in entries if entry["effect"] not in names])
     named = tuple(any(agreeing(each, entry, answer, groups) for entry in entries) for each in odd)
     return {
-        "answer": said,
+        "answer": label,
         "exact": all(any(same(each, entry) for entry in entries) for each in odd),
         "by_set": all(named),
         "named": named,

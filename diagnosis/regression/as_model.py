@@ -21,6 +21,7 @@ from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, WITHIN
 from invdyn.diagnosis.regression.low_pass import low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
 from invdyn.diagnosis.regression.regressors import link_axes, nominal_link_numbers
+from invdyn.diagnosis.regression.shaped_effects import SHARE
 from invdyn.diagnosis.rules import FIXED
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body
@@ -59,14 +60,15 @@ def with_coefficients(model: ArmModel, found: Coefficients) -> ArmModel:
     values: dict[str, float] = {}
 
     def add(kind: str, place: str, **parameters: float) -> None:
-        effect = effects.setdefault(f"{kind}.{place}", EFFECTS[kind](place))
+        every = EFFECTS[kind].everywhere(model.body, [])
+        effect = effects.setdefault(f"{kind}.{place}", next(e for e in every if ".".join(e.where) == place))
         for name, value in parameters.items():
             key = f"effect.{effect.key}.{name}"
             values[key] = values.get(key, 0.0) + value
 
     for (kind, place, name), value in found.items():
-        if kind == INERTIAL:
-            continue
+        if kind == INERTIAL or name == SHARE.name:
+            continue  # a law that is there in part is there
         if kind in WITHIN:
             add(WITHIN[kind], place, stiffness=0.0, torque=-value)
         else:

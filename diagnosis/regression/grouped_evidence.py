@@ -101,12 +101,13 @@ class Choice:
     common: Collection[str] = ()
     tried: Mapping[str, int] = field(default_factory=dict)
 
-    def chosen(self) -> Chosen:
-        """The set of highest score that single steps lead to."""
-        best = self._fitted(())
+    def chosen(self, usual: Sequence[str] = ()) -> Chosen:
+        """The set of highest score that single steps lead to; effects of ``usual`` kinds are in it at all places."""
+        best = self._fitted(tuple(Statement(kind, self.kinds[kind], 1.0) for kind in usual if kind in self.kinds))
         best = replace(best, unseen=self._unseen(best))
         while True:
-            tried = [self._fitted(step) for step in self._steps(best)]
+            steps = self._odd_steps(best, usual) if usual else self._steps(best)
+            tried = [self._fitted(step) for step in steps]
             least = best.score + self.rules.search.equal_gain
             better = sorted((each for each in tried if each.score > least), key=lambda each: -each.score)
             predicted = (replace(each, unseen=self._unseen(each)) for each in better)
@@ -184,6 +185,14 @@ class Choice:
                 sets += [tuple(own.columns), *_farthest(own, value)]
             for some, size in product(filter(None, dict.fromkeys(sets)), FIXED.regression_sizes):
                 yield (*rest, Statement(kind, {place: places[place] for place in some}, size))
+
+    def _odd_steps(self, best: Chosen, usual: Sequence[str]) -> Iterator[tuple[Statement, ...]]:
+        """Sets with one effect more at one place, or with another size of those that are ``usual``."""
+        for kind, every in self.kinds.items():
+            mine = next((s.columns for s in best.statements if s.kind == kind), {})
+            odd = [{**mine, place: own} for place, own in every.items() if place not in mine]
+            for some, size in product([every] if kind in usual else odd, FIXED.regression_sizes):
+                yield (*(s for s in best.statements if s.kind != kind), Statement(kind, some, size))
 
     def _fitted(self, statements: tuple[Statement, ...]) -> Chosen:
         """Coefficients, noise and score of a set; places where a value is less than it may be are left out."""

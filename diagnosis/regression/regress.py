@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from invdyn.diagnosis.catalogue.linear_laws import FRICTION, GAIN, INERTIAL
+from invdyn.diagnosis.catalogue.linear_laws import FRICTION, GAIN, INERTIAL, ODD, USUAL
 from invdyn.diagnosis.regression.as_model import model_on, torque_missed, with_coefficients
 from invdyn.diagnosis.regression.grouped_evidence import Chosen
 from invdyn.diagnosis.regression.linear_effects import (
@@ -55,8 +55,8 @@ from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
-PLAIN: tuple[tuple[str, ...] | None, ...] = (None, FRICTION, (*FRICTION, INERTIAL))
-"""What is chosen by evidence, and fits without a choice that it must not be behind."""
+PLAIN: tuple[tuple[str, ...] | None, ...] = (None, (*USUAL, INERTIAL, ODD), FRICTION, (*FRICTION, INERTIAL))
+"""What is chosen by evidence, also beside all that is usual, and fits without a choice that it must not be behind."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _with_shapes(
         if not shapes:
             break
         rows = [(m, a.with_shapes(piece, shaped, shapes)) for piece, (m, a) in zip(pieces, (first, last), strict=True)]
-        found = _tried(of, rows[0], rows[1], gains, rules, found.fits[1:])
+        found = _tried(of, rows[0], rows[1], gains, rules, found.fits[PLAIN.index(FRICTION) :])
         shapes = nearer_shapes(shaped, pieces[0], found.known, found.fits[0], found.gains.factor)
     return found
 
@@ -272,7 +272,7 @@ def _tried(
         of_gains = partial(of, factor=gains.factor, gain=motors)
         known, unseen = (_near(of_gains(motion=motion, along=along), gains) for motion, along in (first, last))
         before = _columns_of(known, gains)
-        every = PLAIN[:1] if plain_fits else PLAIN
+        every = PLAIN[: PLAIN.index(FRICTION)] if plain_fits else PLAIN
         fits = [*(weighted_fit(known, first[0], rules, plain, before) for plain in every), *plain_fits]
         found = _gains_of(known, fits[0].chosen).factor - 1
         if gains.changed.any() or not found.any():  # the links are the file's there

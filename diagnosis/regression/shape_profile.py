@@ -5,9 +5,10 @@ of an effect's columns Z, these explain
 
     g = ½ bᵀ S⁻¹ b,     b = Zᵀ W (y − X C XᵀWy),     S = Λ_z + Zᵀ (W − W X C Xᵀ W) Z
 
-nats of rows that are independent (variable projection: Golub & Pereyra 1973; Kaufman 1975). First all columns of linear
-effects are X, and Z has each shape of a coarse grid. Of effects that were chosen the grid is a fine one, and X what was
-chosen besides: with one row of τ that counts, a shape ψ has the probability e^{g(ψ)/τ}.
+nats of rows that are independent (variable projection: Golub & Pereyra 1973; Kaufman 1975). First X are the columns of
+what a robot's file usually lacks, at all places, as what is odd is what these leave; Z has each shape of a coarse grid.
+Of effects that were chosen the grid is a fine one, and X what was chosen besides: with one row of τ that counts, a
+shape ψ has the probability e^{g(ψ)/τ}.
 
 Shapes: R rows, K joints, P columns, p of them in X, n of an effect. Units: rad, s, N·m.
 """
@@ -17,10 +18,11 @@ from functools import partial
 
 import numpy as np
 
+from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, USUAL
 from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.low_pass import low_passed
-from invdyn.diagnosis.regression.shaped_effects import Along, Shape, Shaped, sizes_of
+from invdyn.diagnosis.regression.shaped_effects import Along, Shape, Shaped, lowest, sizes_of
 from invdyn.diagnosis.regression.weighted_fit import Fitted, correlation_times, left_by
 from invdyn.diagnosis.rules import FIXED
 
@@ -31,11 +33,12 @@ Shapes = Mapping[tuple[str, str], Shape]
 def first_shapes(
     shaped: Sequence[Shaped], along: Along, known: LinearEffects, fit: Fitted, factor: np.ndarray
 ) -> Shapes:
-    """Of each effect the shape of its coarse grid that explains most beside all linear effects.
+    """Of each effect the shape of its coarse grid that explains most beside all usual effects.
 
     ``known`` are these effects' columns, and ``factor`` (K,) is that of :func:`.linear_effects.linear_effects`.
     """
-    context = _context(known, fit, np.flatnonzero(known.free & known.columns.moving))
+    usual = known.free & known.columns.moving & np.isin(known.kinds, (*USUAL, INERTIAL))
+    context = _context(known, fit, np.flatnonzero(usual))
     found = {}
     for each in shaped:
         explained = partial(_explained, context, each, along, known, factor)
@@ -61,8 +64,7 @@ def nearer_shapes(
             if each.is_size:
                 found[each.key] = Shape(_settled(each, explained, value), count)
                 continue
-            near = np.geomspace(1 / FIXED.near_shape, FIXED.near_shape, FIXED.shape_grid)
-            grid = (value * near).clip(min(each.grid), max(each.grid))
+            grid = each.near(value)
             gains = np.array([explained(v)[0] for v in grid.tolist()])
             share = np.exp((gains - gains.max()) / times[joint])
             share /= share.sum()
@@ -70,7 +72,7 @@ def nearer_shapes(
             low, high = (float(np.interp(q, share.cumsum(), grid)) for q in (0.05, 0.95))
             found[each.key] = Shape(mean, count, float(np.sqrt(share @ (grid - mean) ** 2)), (low, high))
     there = {(known.kinds[p], known.places[p]) for p in fit.chosen.columns} & found.keys()
-    moved = [abs(np.log(found[key].value / known.shapes[key].value)) for key in there]
+    moved = [abs(found[key].value / known.shapes[key].value - 1) for key in there]
     return found if max(moved, default=0.0) > FIXED.equal_shape else None
 
 
@@ -95,7 +97,9 @@ def _explained(
     if shaped.of_command:
         Z = Z * known.usable / factor
     Z = low_passed(Z, along.motion, known.cutoff)
-    return context.explains(Z, sizes_of(Z, known.unit))
+    gain, values = context.explains(Z, sizes_of(Z, known.unit))
+    least = np.array([lowest(each) for each in shaped.sizes])
+    return (gain if (values >= least).all() else 0.0), values
 
 
 class Context:

@@ -2,8 +2,9 @@
 
 Stribeck's friction is linear in its two levels for a given speed of the change. Of a shape ψ the columns are made for a
 few values, and that is taken with which they explain most (variable projection: Golub & Pereyra 1973). A number λ that
-is a shape itself, as a delay, has the column τ(λ)/λ. An effect of the catalogue asks, by its own stages
-(:mod:`invdyn.models.effects.base`), for the torque
+is a shape itself, as a delay, has the column τ(λ)/λ. Of an effect that has a shape alone, as a motor's limit, the
+column is its whole torque, and the coefficient the share of it that is there. An effect of the catalogue asks, by its
+own stages (:mod:`invdyn.models.effects.base`), for the torque
 
     τ = −f + L E[sgn q̇] + I q̈ − (u' − u) + τ_file(q', q̇, q̈; body') − τ_file(q, q̇, q̈; body)
 
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from pyro.distributions import HalfNormal
 from torch import Tensor
 
 from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
@@ -36,11 +38,14 @@ from invdyn.models.effects.hidden import Hidden
 
 KNOWN = {*MOTION, "angles", "late", "settling"} - {"pull", "interval"}
 """Stages whose torque a motion tells."""
+SITES = ("joint", "pair", "stop")
+SHARE = Parameter("share", "1", HalfNormal(1.0))
+"""Of an effect that has a shape alone: 1 where it is there."""
 
 
 @dataclass(frozen=True)
 class Shaped:
-    """An effect at a joint, its parameters that have columns, and the one that gives their shape."""
+    """An effect, its first joint, its parameters that have columns, and the one that gives their shape."""
 
     effect: Effect
     joint: int
@@ -50,8 +55,8 @@ class Shaped:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Effect and joint."""
-        return self.effect.name, self.effect.where[0]
+        """Effect and place."""
+        return self.effect.name, ".".join(self.effect.where)
 
     @property
     def is_size(self) -> bool:
@@ -62,6 +67,15 @@ class Shaped:
     def grid(self) -> tuple[float, ...]:
         """Values of the shape that are tried first."""
         return self.shape.grid or (float(self.shape.prior.stddev),)
+
+    def near(self, value: float) -> np.ndarray:
+        """A fine grid of the shape about a value, by a factor where it has one sign."""
+        grid = np.sort(self.grid)
+        if grid[0] > 0:
+            fine = value * np.geomspace(1 / FIXED.near_shape, FIXED.near_shape, FIXED.shape_grid)
+        else:
+            fine = value + np.interp(value, grid, np.gradient(grid)) * np.linspace(-1.0, 1.0, FIXED.shape_grid)
+        return fine.clip(grid[0], grid[-1])
 
     @property
     def of_command(self) -> bool:
@@ -82,12 +96,12 @@ class Shape:
 def shaped_effects(
     body: Any, motion: MeasuredMotion, passive: bool, without: Collection[str] = ()
 ) -> tuple[Shaped, ...]:
-    """Effects of the catalogue, one at a joint each, whose torque a motion and one shape tell."""
+    """Effects of the catalogue at joints, pairs of them and stops, whose torque a motion and one shape tell."""
     parts = getattr(body, "joint_parts", ()) or [None] * body.num_joints
     scale = scale_of(body, motion)
     found = []
     for entry, effect in CATALOGUE.without([*JOINT_KINDS, INERTIAL, *without]).everywhere(body, []):
-        if effect.site != "joint" or len(effect.place) != 1 or isinstance(effect, Hidden) or effect.form:
+        if effect.site not in SITES or not effect.place or isinstance(effect, Hidden) or effect.form:
             continue
         own = parts[effect.place[0]]
         servo, needs = own is not None and own.servo is not None, entry.need_of(effect)
@@ -96,8 +110,8 @@ def shaped_effects(
         every = effect.parameters(scale)
         sizes = tuple(each for each in every if each.absent == 0.0)
         shapes = [each for each in every if each.absent != 0.0] or [each for each in sizes if len(sizes) == 1]
-        if sizes and len(shapes) == 1 and shapes[0].absent in (None, 0.0):
-            found.append(Shaped(effect, effect.place[0], sizes, shapes[0], entry))
+        if len(shapes) == 1 and shapes[0].absent in ((None, 0.0) if sizes else (math.inf,)):
+            found.append(Shaped(effect, effect.place[0], sizes or (SHARE,), shapes[0], entry))
     return tuple(found)
 
 

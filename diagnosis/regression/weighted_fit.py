@@ -35,7 +35,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from invdyn.diagnosis.catalogue.linear_laws import CONTAINED, GAIN, INERTIAL, JOINT_KINDS, LINK_MASS
+from invdyn.diagnosis.catalogue.linear_laws import CONTAINED, GAIN, INERTIAL, JOINT_KINDS, LINK_MASS, ODD
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
 from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
@@ -78,9 +78,9 @@ def weighted_fit(
 ) -> Fitted:
     """Weights and time constants from all columns, then the choice among them, then both again with it.
 
-    Of ``plain`` kinds nothing is chosen: they are there at all places. Columns ``before`` are, too: their coefficients
-    were estimated before, and what is not known of them widens the others. ``others`` says that those of joints are
-    wanted.
+    Of ``plain`` kinds nothing is chosen: they are there at all places, with `ODD` what gains besides. Columns
+    ``before`` are, too: their coefficients were estimated before, and what is not known of them widens the others.
+    ``others`` says that those of joints are wanted.
     """
     moving = effects.free & effects.columns.moving
     kinds: dict[str, dict[str, tuple[int, ...]]] = {}
@@ -105,7 +105,8 @@ def weighted_fit(
         choice = Choice(
             moments, kinds, effects.size, effects.least, tolerated, rules, CONTAINED, (GAIN, INERTIAL, LINK_MASS), tried
         )
-        chosen = choice.including(choice.chosen() if plain is None else choice.plain(plain), before)
+        found = choice.plain(plain) if plain and ODD not in plain else choice.chosen((plain or ())[:-1])
+        chosen = choice.including(found, before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)
@@ -125,8 +126,8 @@ def weighted_fit(
             also = choice.without_least(own).including(chosen, own)
             if kind in JOINT_KINDS and set(own) <= set(also.columns) - set(chosen.columns):
                 added[kind, place] = fitted(also)
-    found = choice.rivals(chosen) if others else {}
-    others_there = {key: tuple(kind for kind in own if kind != INERTIAL) for key, own in found.items()}
+    alike = choice.rivals(chosen) if others else {}
+    others_there = {key: tuple(kind for kind in own if kind not in (INERTIAL, LINK_MASS)) for key, own in alike.items()}
     rivals = {key: own for key, own in others_there.items() if own and key[0] != LINK_MASS}
     return replace(fitted(choice.with_gains(chosen)), others=added, rivals=rivals)
 

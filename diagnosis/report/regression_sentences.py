@@ -1,6 +1,7 @@
 """What a regression says, in words: effects, their places, and the share of the torque that they explain."""
 
 from invdyn.diagnosis.assessment.result import named
+from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.regression.stated_numbers import Stated
@@ -25,7 +26,7 @@ def regression_words(regression: Regression) -> str:
             sure.append(f"{words} {named([_or_rivals(stated, place, of) for place in stated.sure])}")
         probable = [place for place in rest if stated.probability[place] >= 0.5]
         if probable:
-            places = [f"{place_words(of, place)} ({percent(stated.probability[place])})" for place in probable]
+            places = [f"{_or_rivals(stated, place, of)} ({percent(stated.probability[place])})" for place in probable]
             perhaps.append(f"{words} {named(places)}")
     parts = [named(sure)] * bool(sure) + [f"perhaps {named(perhaps)}"] * bool(perhaps)
     without = "numbers that the parts of the log do not agree on" if regression.stated else "no effect"
@@ -33,9 +34,13 @@ def regression_words(regression: Regression) -> str:
 
 
 def _or_rivals(stated: Stated, place: str, of: str) -> str:
-    """A place, and which other effects may be there instead."""
+    """A place, of a stop with its side, of a pair both joints; and which other effects may be there instead."""
     rivals = [effect_words(effect) for effect in stated.rivals.get(place, ())]
-    return place_words(of, place) + (f" (or {' or '.join(rivals)} there)" if rivals else "")
+    entry, (first, _, last) = CATALOGUE.get(stated.effect), place.rpartition(".")
+    site = entry.effect.site if entry and first else ""
+    ends = {"stop": f", {last} side", "pair": f" and {place_words(of, last)}"}
+    words = place_words(of, first if site in ends else place) + ends.get(site, "")
+    return words + (f" (or {' or '.join(rivals)} there: one of these)" if rivals else "")
 
 
 def interim(regression: Regression) -> str:

@@ -246,14 +246,15 @@ def test_pairs_are_matched_one_to_one():
     assert not paired(["a", "a"], ["a", "b"], equal, least=2)
 
 
-def as_real(shown, stated=(), entries=(), in_part=0.9):
+def as_real(shown, stated=(), entries=(), in_part=0.9, rivals=()):
     """A robot's log, whose elbow has a spring; friction and rotors are at both joints."""
     usual = [true(name, joint=joint) for name in ("viscous_friction", "armature") for joint in ("shoulder", "elbow")]
     truth = answer(true("joint_stiffness", joint="elbow"), kind="as_real") | {"everywhere": usual}
     found = diagnosis((0.0, *entries), (0.05,), outside=0.95)
     found["causes"][0]["probability_in_part"] = in_part
     found["closing"] = {"shown": shown, "torque": {"search": {"closed": 0.8}, "regression": {"closed": 0.7}}}
-    found["regression"] = {"statements": [{"effect": name, "places": list(places)} for name, *places in stated]}
+    statements = [{"effect": name, "places": list(places), "rivals": dict(rivals)} for name, *places in stated]
+    found["regression"] = {"statements": statements}
     return judge("a", truth, found)
 
 
@@ -267,6 +268,17 @@ def test_of_a_robots_log_the_answer_that_is_shown_counts_though_it_leaves_someth
     stated = [("viscous_friction", "shoulder", "elbow"), ("joint_stiffness", "elbow"), ("inertial_error", "link1")]
     v = as_real("regression", stated, entries=usual)
     assert (v.named, v.usual, v.invented, v.torque_closed) == ((True,), 0.5, 1, 0.7)
+
+
+def test_one_of_several_effects_that_a_regression_names_together_is_named_if_that_is_shown():
+    stated = [("constant_torque", "elbow")]
+    for shown, place, named in (
+        ("regression", "elbow", True),
+        ("regression", "shoulder", False),
+        ("search", "elbow", False),
+    ):
+        v = as_real(shown, stated, [said("constant_torque", joint="elbow")], rivals={place: ["joint_stiffness"]})
+        assert v.named == (named,)
 
 
 def test_of_a_robots_log_without_a_diagnosis_nothing_is_named():

@@ -170,7 +170,7 @@ def test_the_regression_in_words(regression):
     friction = one.stated[0]
     like = replace(friction, rivals={"elbow": ("joint_stiffness", "armature")})
     assert regression_words(replace(one, stated=(like,))) == (
-        "Coulomb friction at the elbow (or joint stiffness or rotor inertia there)"
+        "Coulomb friction at the elbow (or joint stiffness or rotor inertia there: one of these)"
     )
     doubted = [replace(one, stated=(replace(friction, probability={"elbow": p}),)) for p in (0.7, 0.3)]
     assert regression_words(doubted[0]) == "perhaps Coulomb friction at the elbow (70\xa0%)"

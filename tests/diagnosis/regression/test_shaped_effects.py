@@ -27,8 +27,8 @@ def along():
     return Along(BODY, dynamics_for(BODY), motion, expected_sign(motion))
 
 
-def columns(along, name, value):
-    (one,) = [e for e in shaped_effects(BODY, along.motion, False) if e.key == (name, "elbow")]
+def columns(along, name, value, place="elbow"):
+    (one,) = [e for e in shaped_effects(BODY, along.motion, False) if e.key == (name, place)]
     return [column.numpy() for column in along.columns(one, value)]
 
 
@@ -54,6 +54,23 @@ def test_a_delay_is_what_the_command_was_before(along):
     step, m = float(np.diff(along.motion.time)[0]), along.motion
     (column,) = columns(along, "actuator_delay", 3 * step)
     np.testing.assert_allclose(3 * step * column[3:, 1], m.command[3:, 1] - m.command[:-3, 1], rtol=1e-6, atol=1e-6)
+
+
+def test_a_motors_limit_takes_what_is_commanded_beyond_it(along):
+    u = along.motion.command[:, 1]
+    limit = 0.5 * np.abs(u).max()
+    (column,) = columns(along, "actuator_saturation", limit)
+    np.testing.assert_allclose(column[:, 1], u - u.clip(-limit, limit), rtol=1e-9, atol=1e-9)
+
+
+def test_a_spring_between_joints_and_a_stop_are_linear_in_their_stiffness(along):
+    q, ratio, angle = along.motion.q, 0.5, float(np.median(along.motion.q[:, 1]))
+    stiffness, torque = columns(along, "joint_coupling", ratio, "shoulder.elbow")
+    arms = np.array([-ratio, 1.0])
+    np.testing.assert_allclose(stiffness, (q @ arms)[:, None] * arms, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(torque, np.broadcast_to(-arms, q.shape), rtol=1e-9)
+    pressed, _ = columns(along, "joint_limit", angle, "elbow.upper")
+    np.testing.assert_allclose(pressed[:, 1], (q[:, 1] - angle).clip(0.0), rtol=1e-9, atol=1e-9)
 
 
 def test_what_columns_explain_is_what_they_take_from_the_weighted_ridge_sum():
@@ -93,6 +110,13 @@ def test_stribeck_friction_is_named_with_its_speed_and_coulomb_friction_is_not_t
         assert each.value == pytest.approx(true[name], rel=0.15)
     plain = regress(recorded(0, lambda m: np.array([0.0, 0.4]) * np.sign(m.qd)), BODY)
     assert [(s.effect, s.sure) for s in plain.stated] == [("coulomb_friction", ("elbow",))]
+
+
+@pytest.mark.long
+def test_a_spring_between_joints_is_named_beside_friction_at_all_joints():
+    arms = np.array([-0.6, 1.0])
+    made = recorded(0, lambda m: 0.3 * m.qd + 0.2 * np.sign(m.qd) + 2.0 * (m.q @ arms - 1.0)[:, None] * arms)
+    assert {s.effect: s.sure for s in regress(made, BODY).stated}["joint_coupling"] == ("shoulder.elbow",)
 
 
 @pytest.fixture(scope="module")
