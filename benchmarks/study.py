@@ -34,7 +34,7 @@ from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.run import run_study
 from invdyn.inference.study.study import FOUND, estimates
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import bound, parameters_of
+from invdyn.inference.study.work import bound
 from invdyn.inputs import load_body
 from invdyn.models import ArmModel, Keypoints, Observation, OrnsteinUhlenbeck
 from invdyn.recordings import write_keypoint_csv
@@ -135,12 +135,12 @@ def size():
         writing = time.process_time() - begun
     left = [made[place] for place in study.left_out]
     of_bad = sum((trial.subject, trial.session) == ("s1", "2") for trial in left)
-    shared = {place: parameters_of(part) for members, part in study.sessions for place in members}
+    shared = {place: part["values"] for members, part in study.sessions for place in members}
     print("\n| 180 trials of 60 rows | |\n|---|---|")
     print(f"| CPU s of the study, of its files | {seconds:.0f}, {writing:.0f} |")
     print(f"| MB of posteriors a session, largest | {max(posterior):.1f} |")
     print(f"| left out: of the bad session's 20, of others | {of_bad}, {len(left) - of_bad} |")
-    for word, values in (("alone", lambda i: parameters_of(study.fits[i])), ("shared", lambda i: shared[i])):
+    for word, values in (("alone", lambda i: study.fits[i]["values"]), ("shared", lambda i: shared[i])):
         noise = [
             values(i)["emission.keypoint_scale"].log().mean() - np.log(truths[made[i].name][1])
             for i in study.posteriors

@@ -18,12 +18,11 @@ from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
-import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import digest
 from invdyn.inference.execution.distribute import Tensors, inside
+from invdyn.inference.execution.records import Plain, Restored
 from invdyn.models import ArmModel
 from invdyn.models.divergence import Diverged, Singular, diverging
 from invdyn.models.effects.base import Effect
@@ -43,10 +42,9 @@ def kept_unit(
 
     The problem is the function's first argument. Its content and all other arguments are what the result depends on.
     The problem's budget is brought to where the unit left it. Results hold ``records``, the classes of dataclasses in
-    them, besides what is listed in :class:`_Plain`. Arrays are laid out row by row, as they come back: sums, and so
+    them, besides what :class:`_Plain` takes. Arrays are laid out row by row, as they come back: sums, and so
     the last bit, depend on that.
     """
-    kinds = {each.__name__: each for each in records}
 
     def decorated(compute: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], T]:
         @wraps(compute)
@@ -64,7 +62,7 @@ def kept_unit(
                 budget.done, budget.missed = state["done"], missed | set(state["missed"])
                 if "failure" in state:
                     raise FAILURES[state["failure"]](state["words"])
-                return _unpacked(state["result"], problem.model, known.effects, kinds, tensors)
+                return _Restored(tensors, records, problem.model, known.effects).of(state["result"])
 
             def spent() -> dict[str, Any]:
                 return {"done": budget.done, "missed": sorted(budget.missed - missed)}
@@ -98,67 +96,41 @@ def _laid_out(value: Any) -> Any:
     return value
 
 
-class _Plain:
-    """Values as JSON holds them without loss; what they name by content, arrays and tensors, and their effects."""
+class _Plain(Plain):
+    """Of a diagnosis, with effects and models in addition; the effects that it met are in ``effects``."""
 
     def __init__(self) -> None:
-        self.tensors: Tensors = {}
+        super().__init__()
         self.effects: dict[tuple[str, int], Effect] = {}
 
     def of(self, value: Any) -> Any:
-        """Numbers, texts, arrays, effects, models, records and collections of them."""
-        if isinstance(value, Tensor | np.ndarray):
-            tensor = torch.as_tensor(np.ascontiguousarray(value).reshape(value.shape))
-            name = digest(tensor)
-            self.tensors[name] = tensor
-            return {"tensor" if isinstance(value, Tensor) else "array": name}
+        """A value as JSON holds it."""
         if isinstance(value, Effect):
             self.effects[value.key, value.variant] = value
             return {"effect": [value.key, value.variant], "class": type(value).__name__}
         if isinstance(value, ArmModel):
             parameters = self.of(dict(value.parameters))
             return {"effects": self.of(list(value.effects)), "parameters": parameters, "substeps": value.substeps}
-        if isinstance(value, list | tuple):
-            return {type(value).__name__: [self.of(each) for each in value]}
-        if isinstance(value, Mapping):
-            return {"dict": {key: self.of(value[key]) for key in sorted(value)}}
-        if is_dataclass(value) and not isinstance(value, type):
-            own = {each.name: self.of(getattr(value, each.name)) for each in fields(value)}
-            return {"record": type(value).__name__, "fields": own}
         if isinstance(value, Distribution):  # a prior's numbers stand next to it
             return type(value).__name__
-        value = value.item() if isinstance(value, np.generic) else value
-        if value is None or isinstance(value, bool | int | float | str):
-            return value
-        raise TypeError(f"expected numbers, names and effects, got {type(value).__name__}")
+        return super().of(value)
 
 
-def _unpacked(
-    state: Any, model: ArmModel, effects: Mapping[tuple[str, int], Effect], kinds: Mapping[str, type], tensors: Tensors
-) -> Any:
-    """What :class:`_Plain` has made of a result; ``model`` is the problem's, ``effects`` are by key and variant."""
+class _Restored(Restored):
+    """The same from a checkpoint; ``model`` is the problem's, ``effects`` are by key and variant."""
 
-    def back(state: Any) -> Any:
+    def __init__(self, tensors: Tensors, kinds: tuple[type, ...], model: ArmModel, effects: Mapping[Any, Effect]):
+        super().__init__(tensors, kinds)
+        self.model, self.effects = model, effects
+
+    def of(self, state: Any) -> Any:
+        """The value."""
         match state:
-            case {"tensor": name}:
-                return tensors[name]
-            case {"array": name}:
-                return tensors[name].numpy()
             case {"effect": [key, variant]}:
-                return effects[key, variant].bound(model.body)
+                return self.effects[key, variant].bound(self.model.body)
             case {"effects": own, "parameters": parameters}:
-                return model.with_effects(*back(own)).replace(**back(parameters))
-            case {"list": values}:
-                return [back(each) for each in values]
-            case {"tuple": values}:
-                return tuple(back(each) for each in values)
-            case {"dict": values}:
-                return {key: back(each) for key, each in values.items()}
-            case {"record": kind, "fields": own}:
-                return kinds[kind](**{key: back(each) for key, each in own.items()})
-        return state
-
-    return back(state)
+                return self.model.with_effects(*self.of(own)).replace(**self.of(parameters))
+        return super().of(state)
 
 
 def content_digest(value: Any) -> str:
@@ -167,4 +139,4 @@ def content_digest(value: Any) -> str:
 
 
 def _name_of(plain: Any) -> str:
-    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()[:24]
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:24]

@@ -40,6 +40,7 @@ import pandas as pd
 import torch
 import xarray as xr
 
+from invdyn.inference.execution import records
 from invdyn.inference.execution.distribute import inside
 from invdyn.inference.execution.executors import script_not_run_again
 from invdyn.inference.execution.progress import Progress
@@ -140,12 +141,12 @@ def kept(
     A method that fails is tried again by the next call: it may have been for want of memory.
     """
     store = inside(getattr(task, "checkpoint", None), f"{method}-result")
-    if store is not None and (found := store.load()) is not None:
-        tensors, state = found
-        return unpacked(tensors), state["seconds"], state["memory"]
+    if store is not None and (found := records.kept(store)) is not None:
+        file, seconds, memory = found
+        return unpacked(file), seconds, memory
     idata, seconds, memory = launch(task, method, progress=progress, **options)
     if store is not None:
-        store.save(packed(idata), seconds=seconds, memory=memory)
+        records.keep(store, (packed(idata), seconds, memory))
     return idata, seconds, memory
 
 

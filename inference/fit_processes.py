@@ -9,8 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import Checkpoint, digest, part_of
+from invdyn.inference.execution.checkpoint import Checkpoint, digest
 from invdyn.inference.execution.progress import Report
+from invdyn.inference.execution.records import keep, kept
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.fitting.log_parameters import Free
 from invdyn.inference.fitting.marginal_likelihood import Fit, fit
@@ -23,11 +24,6 @@ from invdyn.recordings import InputError, Recording
 
 PILOT_ROWS, PILOT_FROM = 1000, 4000
 """Rows in the middle of a long recording on which its parameters are fitted first, and from how many rows on."""
-PARAMETER = "parameter "
-"""Before a parameter's name in a checkpoint: it may be any."""
-NUMBERS = ("log_evidence", "log_marginal")
-ARRAYS = ("phi", "covariance", "scatter")
-"""Of a fit, that a checkpoint keeps."""
 
 
 def fit_processes(
@@ -38,11 +34,10 @@ def fit_processes(
     checkpoint: Checkpoint | None,
 ) -> tuple[list[Fit[ArmModel]], list[list[str]]]:
     """Fit of each problem, and what is in doubt of each: from the checkpoint, or fitted and kept there."""
-    if checkpoint is not None and (kept := checkpoint.load()) is not None:
-        tensors, state = kept
-        parts = [part_of(tensors, f"{number}.") for number in range(len(problems))]
-        there = zip(problems, parts, state["fits"], strict=True)
-        return [_kept_fit(each, own, numbers) for each, own, numbers in there], state["doubts"]
+    if checkpoint is not None and (found := kept(checkpoint)) is not None:
+        known, of_each = found
+        models = [each.model.replace(**own["model"]) for each, own in zip(problems, known, strict=True)]
+        return [Fit(**{**own, "model": model}) for model, own in zip(models, known, strict=True)], of_each
     fits: list[Fit[ArmModel]] = []
     doubts: list[list[str]] = []
     for number, (problem, free) in enumerate(zip(problems, frees, strict=True)):
@@ -54,13 +49,7 @@ def fit_processes(
         fits.append(found)
         doubts.append(doubt)
     if checkpoint is not None:
-        tensors = {
-            f"{number}.{name}": value for number, each in enumerate(fits) for name, value in _tensors_of(each).items()
-        }
-        numbers = [
-            {name: float(getattr(each, name)) for name in NUMBERS} | {"converged": each.converged} for each in fits
-        ]
-        checkpoint.save(tensors, fits=numbers, doubts=doubts)
+        keep(checkpoint, ([{**vars(each), "model": each.model.parameters} for each in fits], doubts))
     return fits, doubts
 
 
@@ -94,21 +83,6 @@ def _like(model: ArmModel, first: ArmModel, fit: Fit[ArmModel]) -> dict[str, Any
     return {"start": torch.cat([model.torque.path(z[:, :joints], model.time), rest], -1), "begin": begin}
 
 
-def _tensors_of(fit: Fit[ArmModel]) -> dict[str, Tensor]:
-    """What of a fit is a tensor."""
-    own = {"path": fit.path} | {name: torch.as_tensor(getattr(fit, name)) for name in ARRAYS}
-    own |= {f"log_sd {name}": torch.as_tensor(value) for name, value in fit.log_sd.items()}
-    return own | {f"{PARAMETER}{name}": value for name, value in fit.model.parameters.items()}
-
-
-def _kept_fit(problem: Problem, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> Fit[ArmModel]:
-    """The fit whose tensors :func:`_tensors_of` gave."""
-    model = problem.model.replace(**part_of(tensors, PARAMETER))
-    log_sd = {name: value.numpy() for name, value in part_of(tensors, "log_sd ").items()}
-    of = {name: numbers[name] for name in ("converged", *NUMBERS)} | {name: tensors[name].numpy() for name in ARRAYS}
-    return Fit(model=model, path=tensors["path"], log_sd=log_sd, **of)
-
-
 def _share(report: Report | None, number: int, count: int) -> Report | None:
     """What reports the progress of one fit of several as that of all."""
     return None if report is None else lambda done, total: report(number * total + done, count * total)
@@ -124,7 +98,6 @@ def fingerprint(
     data += [tensor for tensor in (model.command, *observation.data()) if tensor is not None]
     return {
         "version": version("invdyn"),
-        "kept": [*NUMBERS, *ARRAYS, "sets by number"],
         "recording": digest(*data),
         "body": repr(model.body),
         "start": digest(*(model.parameters[name] for name in sorted(model.parameters))),

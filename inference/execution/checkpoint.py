@@ -4,7 +4,7 @@ Two files: ``tensors-<step>-<random>.safetensors`` and ``manifest.json``, which 
 place, flushed to the disk and moved there in one step; the manifest comes last, and the tensor file of the
 checkpoint before is removed after that. A reader finds the old checkpoint or the new one, never half of both.
 
-    manifest    {"schema": 2, "place": …, "step": …, "fingerprint": {…}, "state": {…}, "tensors": file name,
+    manifest    {"schema": 3, "place": …, "step": …, "fingerprint": {…}, "state": {…}, "tensors": file name,
                  "sha256": of that file, "versions": {…}, "seal": SHA-256 of all entries before}
 
 The fingerprint is what the run was started with (seed, sizes, a digest of the data): a checkpoint of another run is
@@ -20,20 +20,18 @@ import os
 import re
 import secrets
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from invdyn.recordings import InputError, atomic_path, check_readable, resolved
 from invdyn.recordings.errors import first_line
 
-SCHEMA = 2  # of the files
+SCHEMA = 3  # of the files
 MANIFEST = "manifest.json"
 _TENSORS = re.compile(r"tensors-\d+-[0-9a-f]{8}\.safetensors")
 _UNFINISHED = re.compile(r"\.(tensors-\d+-[0-9a-f]{8}|manifest)\.[0-9a-f]{8}\.(safetensors|json)")
@@ -212,29 +210,3 @@ def _safetensors() -> ModuleType:
     except ImportError:
         raise InputError("checkpoints need one more package: pip install 'invdyn[checkpoint]'") from None
     return safetensors.torch
-
-
-def flattened(record: Any, prefix: str = "") -> dict[str, Tensor]:
-    """The arrays and tensors of a dataclass, and of those in it, by dotted name."""
-    tensors: dict[str, Tensor] = {}
-    for field in fields(record):
-        value = getattr(record, field.name)
-        if is_dataclass(value):
-            tensors |= flattened(value, f"{prefix}{field.name}.")
-        elif value is not None:
-            tensors[prefix + field.name] = torch.as_tensor(np.asarray(value))
-    return tensors
-
-
-def unflattened(kind: Any, tensors: dict[str, Tensor], prefix: str = "") -> Any:
-    """The dataclass of which :func:`flattened` is ``tensors``."""
-    values: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind).items():
-        if is_dataclass(hint):
-            values[name] = unflattened(hint, tensors, f"{prefix}{name}.")
-        elif prefix + name not in tensors:
-            values[name] = None
-        else:
-            value = tensors[prefix + name]
-            values[name] = value if torch.Tensor in (hint, *get_args(hint)) else value.numpy()[()]
-    return kind(**values)

@@ -21,7 +21,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from contextlib import ExitStack
 from functools import partial
 from threading import RLock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cloudpickle as pickle  # which can send what a script or a notebook has defined
 import torch
@@ -30,9 +30,10 @@ from torch import Tensor
 from invdyn.inference.execution import executors
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.executors import has_workers, process_pool
+from invdyn.inference.execution.records import keep, kept
 
 Tensors = dict[str, Tensor]
-Part = Callable[..., Tensors]
+Part = Callable[..., Any]
 """A module-level function of one part's arguments and ``progress``, called with (steps done, steps) or None."""
 
 T = TypeVar("T")
@@ -56,7 +57,7 @@ def distribute(
     checkpoint: Checkpoint | None = None,
     steps: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Tensors]:
+) -> list[Any]:
     """Return ``part(*arguments[i])`` for each i, in order.
 
     Args:
@@ -64,8 +65,8 @@ def distribute(
         arguments: of each part, its seed among them.
         names: of the parts, for errors: "filters 32 to 63".
         executor: whose workers do it; None for this process.
-        checkpoint: in whose folder each result is kept as soon as it is there, and looked for at first: part i
-            lies in a folder of its own, ``part-<i>``.
+        checkpoint: in whose folder each result (:mod:`.records`) is kept as soon as it is there, and looked for at
+            first: part i lies in a folder of its own, ``part-<i>``.
         steps: that each part consists of, for ``progress``.
         progress: called with (steps done, steps of all parts).
 
@@ -73,18 +74,18 @@ def distribute(
     """
     count = len(arguments)
     stores = [inside(checkpoint, f"part-{i}") for i in range(count)]
-    results: dict[int, Tensors] = {}
+    results: dict[int, Any] = {}
     for i, store in enumerate(stores):
-        if store is not None and (found := store.load()) is not None:
-            results[i] = found[0]
+        if store is not None and (found := kept(store)) is not None:
+            results[i] = found
 
     def report(extra: int = 0) -> None:
         if progress is not None:
             progress(len(results) * steps + extra, count * steps)
 
-    def arrived(i: int, result: Tensors) -> None:
+    def arrived(i: int, result: Any) -> None:
         if (store := stores[i]) is not None:
-            store.save(result)
+            keep(store, result)
         results[i] = result
         report()
 
@@ -105,7 +106,7 @@ def inside(checkpoint: Checkpoint | None, name: str) -> Checkpoint | None:
     return Checkpoint(checkpoint.folder / name, checkpoint.fingerprint, f"{checkpoint.place}/{name}".lstrip("/"))
 
 
-Arrived = Callable[[int, Tensors], None]
+Arrived = Callable[[int, Any], None]
 
 
 def _collect(
@@ -174,7 +175,7 @@ def _collect_once(
     return sorted(missing_parts)
 
 
-def _run(part: Part, arguments: tuple, progress: Callable[[int, int], None] | None) -> Tensors:
+def _run(part: Part, arguments: tuple, progress: Callable[[int, int], None] | None) -> Any:
     with _one_at_a_time:
         return part(*arguments, progress=progress)
 

@@ -19,14 +19,11 @@ has the bootstrap guide alone.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import flattened, unflattened
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.filtering import PILOT_PARTICLE_STEPS, SMCOptions, adapted, run_filters
 from invdyn.inference.filters.moment_matching import exact_closed_form, moment_matched
@@ -34,6 +31,8 @@ from invdyn.inference.filters.particle_filter import ParticleFilter
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, confirms, evidence, exceeds
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
+from invdyn.inference.smoothing.linearisation import Linearisation, SeenRows
+from invdyn.inference.smoothing.square_root import BackwardFactors
 from invdyn.models.divergence import Diverged, Singular, diverging
 from invdyn.models.state_space import StateSpaceModel
 from invdyn.recordings.errors import first_line
@@ -95,22 +94,9 @@ class Guide:
             return replace(found, usable=False, reason=self.doubt, contradicted=self.doubt)
         return found
 
-    def to_keep(self) -> tuple[Tensors, dict[str, Any]]:
-        """Tensors and the rest, for a checkpoint; :meth:`kept` takes them back."""
-        tensors = {} if self.smoother is None else flattened(self.smoother, "smoother.")
-        tensors |= {} if self.opinion is None else {"opinion": self.opinion}
-        state = {name: getattr(self, name) for name in ("name", "num_particles", "reason", "doubt")}
-        return tensors, state | {"expected": {} if self.expected is None else asdict(self.expected)}
 
-    @classmethod
-    def kept(cls, tensors: Tensors, state: dict[str, Any]) -> "Guide":
-        """What :meth:`to_keep` gave."""
-        smoother = None
-        if "smoother.path" in tensors:
-            smoother = unflattened(GaussianSmoother, tensors, "smoother.")
-        opinion, size = tensors.get("opinion"), int(state["num_particles"])
-        expected = Evidence(**found) if (found := state.get("expected")) else None
-        return cls(state["name"], smoother, size, opinion, state["reason"], state["doubt"], expected)
+RECORDS = (Guide, Evidence, GaussianSmoother, BackwardFactors, Linearisation, SeenRows)
+"""Dataclasses that a guide consists of, for a checkpoint."""
 
 
 @dataclass(frozen=True)

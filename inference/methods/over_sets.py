@@ -27,7 +27,7 @@ import arviz as az
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import Checkpoint, part_of
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.execution.seeds import derived, seeded
@@ -101,8 +101,8 @@ def over_sets(
     for _, own in groupby(range(len(sets)), key=lambda k: sets[k].candidate):
         numbers = list(own)
         tasks += [numbers[first : first + most] for first in range(0, len(numbers), most)]
-    found: list[Any] = distribute(
-        run if checkpoint is None else partial(kept_as_tensors, run),
+    found = distribute(
+        run if checkpoint is None else partial(in_bytes, run),
         [
             (
                 SetBatch(
@@ -123,7 +123,8 @@ def over_sets(
         checkpoint=checkpoint,
         progress=stage(progress, "parameter sets"),
     )
-    return combine([part for each in found for part in _parts(each)], seed=seed)
+    parts = [each if isinstance(each, az.InferenceData) else unpacked(each) for own in found for each in own]
+    return combine(parts, seed=seed)
 
 
 def run_sets(task: SetBatch, progress: Report | None = None) -> Any:
@@ -169,20 +170,9 @@ def run_set(task: SetBatch, progress: Report | None = None) -> Any:
     return [found]
 
 
-def kept_as_tensors(run: Callable[..., Any], task: SetBatch, progress: Report | None = None) -> dict[str, Tensor]:
-    """The same as tensors, for a checkpoint: a netCDF file in bytes takes longer to write than to compute."""
-    found = run(task)
-    if progress is not None:
-        progress(1, 1)
-    return {f"{k}.{name}": value for k, each in enumerate(found) for name, value in packed(each).items()}
-
-
-def _parts(found: Any) -> list[az.InferenceData]:
-    """What :func:`run_sets` gave, or was kept of it."""
-    if isinstance(found, list):
-        return found
-    numbers = sorted({int(name.partition(".")[0]) for name in found})
-    return [unpacked(part_of(found, f"{k}.")) for k in numbers]
+def in_bytes(run: Callable[..., Any], task: SetBatch, progress: Report | None = None) -> list[dict[str, Tensor]]:
+    """The same for a checkpoint: a netCDF file in bytes takes longer to write than to compute."""
+    return [packed(each) for each in run(task, progress)]
 
 
 def stacked(models: Sequence[ArmModel], axes: int = 1) -> ArmModel:

@@ -22,8 +22,9 @@ import torch
 from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
+from invdyn.inference.execution.records import keep, kept
 from invdyn.inference.execution.seeds import derived, seeded
-from invdyn.inference.filters.best_guide import Guide, best_guide
+from invdyn.inference.filters.best_guide import RECORDS, Guide, best_guide
 from invdyn.inference.filters.filtering import PER_FILTER, SMCOptions, run_task
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, bound_doubt, scatter_doubt
@@ -151,11 +152,10 @@ def fitted_guide(
     checkpoint: Checkpoint | None,
 ) -> Guide:
     """:func:`.best_guide`, or the one that was kept."""
-    if checkpoint is not None and (kept := checkpoint.load()) is not None:
-        return Guide.kept(*kept)
+    if checkpoint is not None and (found := kept(checkpoint, *RECORDS)) is not None:
+        return found
     with seeded(derived(seed, PILOTS), options.device):
         guide = best_guide(problem.model, problem.observations, options, start=start)
     if checkpoint is not None:
-        tensors, state = guide.to_keep()
-        checkpoint.save(tensors, **state)
+        keep(checkpoint, guide)
     return guide

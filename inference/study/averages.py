@@ -13,18 +13,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.posterior.functionals import unit_at
 from invdyn.inference.study.pooling import MIN_TRIALS, pool
 from invdyn.inference.study.quantities import at_times
 from invdyn.inference.study.trial import Trial
-from invdyn.inference.study.work import said
+from invdyn.inference.study.work import Part
 from invdyn.recordings import InputError
 
 TIMES, SETS = 41, 256  # times of a curve; sets of τ at each
 
 
-def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], align: str, factor: str) -> pd.DataFrame:
+def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Part], align: str, factor: str) -> pd.DataFrame:
     """One row a joint, level and time: mean, q05, q95, of a further trial trial_q05 and trial_q95, unit, trials.
 
     Raises InputError where fewer than two trials have the event within them, or a joint in common.
@@ -48,7 +47,7 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
     for joint in dict.fromkeys(joint for each in curves for joint in each):
         # A trial whose body lacks the joint is not there.
         mean, spread = np.stack([each.get(joint, np.full((2, len(times)), np.nan)) for each in curves], axis=1)
-        known = next(said(posteriors[place]) for place, each in zip(own, curves, strict=True) if joint in each)
+        known = next(posteriors[place] for place, each in zip(own, curves, strict=True) if joint in each)
         unit = unit_at(known["units"]["torque"], known["turns"][known["joints"].index(joint)])
         for n, time in enumerate(times):
             there = np.isfinite(mean[:, n])
@@ -66,8 +65,8 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Tensors], a
     return pd.DataFrame(rows)
 
 
-def _aligned(part: Tensors, times: np.ndarray) -> dict[str, np.ndarray]:
+def _aligned(part: Part, times: np.ndarray) -> dict[str, np.ndarray]:
     """Mean and sd (2, N) of each joint at times on the trial's clock."""
     both = np.stack([part[name].numpy() for name in ("mean", "spread")])
     found = at_times(part["time"].numpy(), both, times)
-    return {joint: found[:, :, k] for k, joint in enumerate(said(part)["joints"])}
+    return {joint: found[:, :, k] for k, joint in enumerate(part["joints"])}

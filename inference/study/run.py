@@ -16,14 +16,14 @@ from typing import Any
 import torch
 
 from invdyn.inference.execution.checkpoint import Checkpoint, digest
-from invdyn.inference.execution.distribute import Tensors, distribute, inside
+from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.renamed_methods import present_name
 from invdyn.inference.study.study import Study
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import KEPT, fit_trial, infer_trial, parameters_of, said, share_session
+from invdyn.inference.study.work import Part, fit_trial, infer_trial, share_session
 from invdyn.recordings import InputError
 
 
@@ -58,7 +58,7 @@ def run_study(
     kept = None if checkpoint is None else Checkpoint(checkpoint, _fingerprint(trials, how))
     left_out = {place: trial.unread for place, trial in enumerate(trials) if trial.unread}
 
-    def run(part: Any, places: Sequence[int], arguments: list[tuple], what: str) -> list[Tensors]:
+    def run(part: Any, places: Sequence[int], arguments: list[tuple], what: str) -> list[Part]:
         names = [f"{what} of {trials[place].name}" for place in places]
         own, report = inside(kept, what), stage(progress, what)
         return distribute(part, arguments, names, executor=executor, checkpoint=own, progress=report)
@@ -73,7 +73,7 @@ def run_study(
     shared = run(share_session, [members[0] for members in groups], work, "session")
     sessions = tuple(zip(groups, shared, strict=True))
     for members, part in sessions:
-        if reason := said(part).get("left_out"):
+        if reason := part.get("left_out"):
             left_out |= dict.fromkeys(members, f"its session's parameters could not be fitted: {reason}")
 
     of = {place: part for members, part in sessions for place in members if place not in left_out}
@@ -81,20 +81,20 @@ def run_study(
     work = [(trials[i], how, fits[i], of[i], derived(how.seed, i)) for i in order]
     posteriors = dict(zip(order, run(infer_trial, order, work, "posterior"), strict=True))
     left_out |= _reasons(posteriors)
-    used = tuple(each for each in sessions if "left_out" not in said(each[1]))
+    used = tuple(each for each in sessions if "left_out" not in each[1])
     whole = {place: part for place, part in posteriors.items() if place not in left_out}
     return Study(tuple(trials), how, tuple(fits.get(i, {}) for i in range(len(trials))), used, whole, left_out)
 
 
-def _reasons(parts: dict[int, Tensors]) -> dict[int, str]:
-    return {place: reason for place, part in parts.items() if (reason := said(part).get("left_out"))}
+def _reasons(parts: dict[int, Part]) -> dict[int, str]:
+    return {place: reason for place, part in parts.items() if (reason := part.get("left_out"))}
 
 
-def _groups(trials: Sequence[Trial], fits: dict[int, Tensors]) -> list[tuple[int, ...]]:
+def _groups(trials: Sequence[Trial], fits: dict[int, Part]) -> list[tuple[int, ...]]:
     """Places of trials that share: of one session, with one body, the same points and parameters to fit."""
     groups: dict[Any, list[int]] = {}
     for place, fit in fits.items():
-        form = tuple((name, tuple(value.shape)) for name, value in parameters_of(fit).items())
+        form = tuple((name, tuple(value.shape)) for name, value in fit["values"].items())
         trial = trials[place]
         points = _names(trial)
         groups.setdefault((trial.subject, trial.session, repr(trial.body), points, form), []).append(place)
@@ -119,7 +119,6 @@ def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
     labels = [[*trial.labels.items(), *map(str, trial.events.items()), _names(trial)] for trial in trials]
     return {
         "version": version("invdyn"),
-        "kept": KEPT,
         "recordings": digest(*tensors),
         "bodies": bodies,
         "trials": hashlib.sha256(repr(labels).encode()).hexdigest()[:16],

@@ -30,7 +30,7 @@ import pandas as pd
 import xarray as xr
 
 from invdyn.inference.study.figure import plot_averages
-from invdyn.inference.study.work import CURVES, said
+from invdyn.inference.study.work import CURVES
 from invdyn.recordings import (
     InputError,
     atomic_path,
@@ -81,16 +81,16 @@ def save_study(study: Any, folder: Path, nwb: bool = False) -> list[Path]:
         names = _unlike(study.trials[i].name for i in study.posteriors)
         moments = {}
         for name, (index, part) in zip(names, study.posteriors.items(), strict=True):
-            known, torque = said(part), part["torque"].numpy().astype(float)
+            torque = part["torque"].numpy().astype(float)
             low, middle, high = np.quantile(torque, (0.05, 0.5, 0.95), axis=0)
-            shifting = {joint for joint, turns in zip(known["joints"], known["turns"], strict=True) if not turns}
-            moments[index] = name, (part["time"].numpy(), middle, low, high, known["joints"], shifting)
+            shifting = {joint for joint, turns in zip(part["joints"], part["turns"], strict=True) if not turns}
+            moments[index] = name, (part["time"].numpy(), middle, low, high, part["joints"], shifting)
             write_moments(place("sto", f"{name}.sto"), *moments[index][1])
         for name, members in _sessions(study).items() if nwb else ():
             torques = {moments[i][0]: moments[i][1] for i in members}
             recordings = {moments[i][0]: study.trials[i].recording for i in members}
             (folder / "nwb").mkdir(exist_ok=True)
-            unit = said(study.posteriors[members[0]])["units"]["torque"]
+            unit = study.posteriors[members[0]]["units"]["torque"]
             write_nwb(place("nwb", f"{name}.nwb"), torques, recordings, unit)
         write_text(folder / FILES, "".join(f"{file.relative_to(folder).as_posix()}\n" for file in files))
     return [*files, folder / FILES]
@@ -104,7 +104,7 @@ def study_files(folder: Path) -> list[Path]:
 def session_posterior(study: Any, members: list[int]) -> xr.Dataset:
     """Draws of the trials at these places, which have the same joints."""
     parts = [study.posteriors[place] for place in members]
-    known = said(parts[0])
+    known = parts[0]
     rows, draws = max(len(part["time"]) for part in parts), len(parts[0]["torque"])
     variables = {}
     for name in CURVES:
@@ -151,7 +151,7 @@ def _sessions(study: Any) -> dict[str, list[int]]:
     found: dict[tuple, list[int]] = {}
     for place, part in study.posteriors.items():
         trial = study.trials[place]
-        found.setdefault((trial.subject, trial.session, *said(part)["joints"]), []).append(place)
+        found.setdefault((trial.subject, trial.session, *part["joints"]), []).append(place)
     return dict(zip(_unlike(f"{subject}_{session}" for subject, session, *_ in found), found.values(), strict=True))
 
 

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.posterior.functionals import Z90, unit_at
 from invdyn.inference.study.averages import average_curves
 from invdyn.inference.study.pooling import MIN_TRIALS, Pooled, pool
 from invdyn.inference.study.quantities import STATISTICS
 from invdyn.inference.study.trial import How, Trial
-from invdyn.inference.study.work import NOT_SETTLED, parameters_of, said
+from invdyn.inference.study.work import NOT_SETTLED, Part
 from invdyn.recordings import InputError
 
 if TYPE_CHECKING:
@@ -55,9 +54,9 @@ class Study:
 
     trials: tuple[Trial, ...]
     how: How
-    fits: tuple[Tensors, ...]
-    sessions: tuple[tuple[tuple[int, ...], Tensors], ...]
-    posteriors: dict[int, Tensors]
+    fits: tuple[Part, ...]
+    sessions: tuple[tuple[tuple[int, ...], Part], ...]
+    posteriors: dict[int, Part]
     left_out: dict[int, str]
 
     @cached_property
@@ -65,10 +64,10 @@ class Study:
         """One row a trial, joint and quantity: labels, joint, quantity, unit, mean, sd, q05, median, q95."""
         rows = []
         for place, part in self.posteriors.items():
-            known, numbers = said(part), part["statistics"].numpy()
-            for q, (quantity, unit) in enumerate(known["quantities"].items()):
-                for k, joint in enumerate(known["joints"]):
-                    what = {"joint": joint, "quantity": quantity, "unit": unit_at(unit, known["turns"][k])}
+            numbers = part["statistics"].numpy()
+            for q, (quantity, unit) in enumerate(part["quantities"].items()):
+                for k, joint in enumerate(part["joints"]):
+                    what = {"joint": joint, "quantity": quantity, "unit": unit_at(unit, part["turns"][k])}
                     rows.append(
                         {**self.trials[place].labels, **what, **dict(zip(STATISTICS, numbers[q, k], strict=True))}
                     )
@@ -86,11 +85,11 @@ class Study:
         rows = []
         for members, part in self.sessions:
             for place in members:
-                own = said(self.fits[place])["notes"] if place in self.posteriors else []
+                own = self.fits[place]["notes"] if place in self.posteriors else []
                 if len(members) > 1:  # what the session shares takes the place of what it found alone
                     own = [each for each in own if each != NOT_SETTLED]
-                shared = said(part)["notes"] if place in self.posteriors else []
-                last = said(self.posteriors[place])["notes"] if place in self.posteriors else []
+                shared = part["notes"] if place in self.posteriors else []
+                last = self.posteriors[place]["notes"] if place in self.posteriors else []
                 rows += [(place, doubt) for doubt in (*own, *shared, *last)]
         labelled = [{**self.trials[place].labels, "doubt": doubt} for place, doubt in sorted(rows, key=itemgetter(0))]
         return pd.DataFrame(labelled, columns=None if rows else ["trial", "subject", "session", "doubt"])
@@ -102,7 +101,7 @@ class Study:
         for members, part in self.sessions:
             first = self.trials[members[0]]
             where = {"subject": first.subject, "session": first.session, "trials": len(members)}
-            for name, value in parameters_of(part).items():
+            for name, value in sorted(part["values"].items()):
                 entries = enumerate(value.flatten().tolist())
                 rows += [{**where, "parameter": name, "entry": k, "value": each} for k, each in entries]
         return pd.DataFrame(rows)

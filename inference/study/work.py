@@ -8,11 +8,11 @@ parameters (:func:`share_session`). At last each trial has its posterior at what
 * its model does not explain it (:mod:`.explained`), alone or at the session's parameters;
 * the method says that its evidence is not usable.
 
-An error in one trial stays with that trial. Results are tensors by name, as checkpoints hold them; words are bytes.
-A part is one step of the work, so that none says how far it is.
+An error in one trial stays with that trial. Results are values by name, as checkpoints hold them
+(:mod:`..execution.records`): "notes" of what is in doubt, or "left_out" alone, the reason. A part is one step of the
+work, so that none says how far it is.
 """
 
-import json
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,8 +22,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.execution.checkpoint import part_of
-from invdyn.inference.execution.distribute import Tensors
 from invdyn.inference.fitting.log_parameters import Free, LogParameters
 from invdyn.inference.fitting.marginal_likelihood import Fit
 from invdyn.inference.fitting.objective import Objective
@@ -44,46 +42,45 @@ from invdyn.models import ArmModel
 from invdyn.models.divergence import Diverged
 from invdyn.recordings.errors import first_line
 
-VALUE, WORDS, CURVES = "value ", "words", ("torque", "angle", "velocity")
-KEPT = ("path", "covariance")
-"""Of a trial's fit, besides its parameters."""
+CURVES = ("torque", "angle", "velocity")
 NOT_SETTLED = "the fit did not settle"
 Report = Callable[[int, int], None] | None
+Part = dict[str, Any]
+"""What is kept of a trial or of a session, by name."""
 
 
-def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Tensors:
-    """Fitted parameters ("value <name>"), "covariance" (P, P) of their φ, the mode ("path"), and words.
+def fit_trial(trial: Trial, how: How, *, progress: Report = None) -> Part:
+    """Fitted parameters by name ("values"), "covariance" (P, P) of their φ, the mode ("path"), and notes."""
 
-    The words are notes, or why it is left out.
-    """
-
-    def work() -> Tensors:
+    def work() -> Part:
         problem, free = bound(trial, how)
         found, doubts = fit_over_gaps(at_start(problem, free), problem.observations, free, None, problem.origin)
         if reasons := unexplained(replace(problem, model=found.model), found.path):
             return _left_out(reasons[0])
-        values = {f"{VALUE}{f.name}": found.model.parameters[f.name] for f in free}
-        values |= {name: torch.as_tensor(getattr(found, name)) for name in KEPT}
-        return {**values, **words(notes=[*doubts, *([] if found.converged else [NOT_SETTLED])])}
+        return {
+            "values": {f.name: found.model.parameters[f.name] for f in free},
+            "path": found.path,
+            "covariance": torch.as_tensor(found.covariance),
+            "notes": [*doubts, *([] if found.converged else [NOT_SETTLED])],
+        }
 
     return _guarded(work)
 
 
-def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *, progress: Report = None) -> Tensors:
-    """Parameters by the summed evidence ("value <name>"), "covariance" (P, P) of their φ, "log_evidence" (N,).
+def share_session(trials: Sequence[Trial], fits: Sequence[Part], how: How, *, progress: Report = None) -> Part:
+    """Parameters by the summed evidence ("values"), "covariance" (P, P) of their φ, "log_evidence" (N,), and notes.
 
     One trial alone keeps its own fit, and has no "log_evidence".
     """
 
-    def work() -> Tensors:
+    def work() -> Part:
         problems, frees = zip(*(bound(trial, how) for trial in trials), strict=True)
         free = frees[0]
         if not free or len(trials) == 1:
-            own = {name: value for name, value in fits[0].items() if name.startswith(VALUE) or name == "covariance"}
-            return {**own, **words(notes=[])}
+            return {name: fits[0][name] for name in ("values", "covariance")} | {"notes": []}
         models = at_common_start([at_start(each, free) for each in problems], free)
         parameters = LogParameters(models[0].to(dtype=torch.float64), free)
-        alone = [parameters.of(parameters_of(fit)) for fit in fits]
+        alone = [parameters.of(fit["values"]) for fit in fits]
         phi = np.median(alone, axis=0)  # one trial that is far off does not move it
         rows, paths = [each.observations.double() for each in problems], [fit["path"] for fit in fits]
         sets = list(zip(models, rows, paths, strict=True))
@@ -95,14 +92,11 @@ def share_session(trials: Sequence[Trial], fits: Sequence[Tensors], how: How, *,
             if not finite:
                 raise
             found = _fitted(finite, free, phi)
-        shared = {f"{VALUE}{f.name}": found.models[0].parameters[f.name] for f in free}
-        covariance = torch.as_tensor(found.covariance)
-        notes = [] if found.converged else [f"{NOT_SETTLED} that the session shares"]
         return {
-            **shared,
-            "covariance": covariance,
+            "values": {f.name: found.models[0].parameters[f.name] for f in free},
+            "covariance": torch.as_tensor(found.covariance),
             "log_evidence": torch.as_tensor(found.log_evidence),
-            **words(notes=notes),
+            "notes": [] if found.converged else [f"{NOT_SETTLED} that the session shares"],
         }
 
     return _guarded(work)
@@ -121,14 +115,12 @@ def _finite(model: ArmModel, observations: Tensor, path: Tensor, free: Sequence[
         return False
 
 
-def infer_trial(
-    trial: Trial, how: How, fit: Tensors, shared: Tensors, seed: int, *, progress: Report = None
-) -> Tensors:
-    """Draws that are kept (R, T, K), mean and sd of the torque (T, K), "statistics" (Q, K, 5), and words."""
+def infer_trial(trial: Trial, how: How, fit: Part, shared: Part, seed: int, *, progress: Report = None) -> Part:
+    """Draws that are kept (R, T, K), mean and sd of the torque (T, K), "statistics" (Q, K, 5), and names and units."""
 
-    def work() -> Tensors:
+    def work() -> Part:
         problem, free = bound(trial, how)
-        values = {f.name: shared[f"{VALUE}{f.name}"] for f in free}
+        values = {f.name: shared["values"][f.name] for f in free}
         start = at_start(problem, free).to(dtype=torch.float64)
         fitted = replace(problem, model=start.replace(**values))
         mode = gauss_newton(fitted.model, problem.observations.double(), start=fit["path"])
@@ -148,17 +140,19 @@ def infer_trial(
         drawn = {name: each.reshape(-1, *each.shape[-2:]) for name, each in curves.items()}
         found = quantities(idata, trial.events)
         kept = np.linspace(0, len(drawn["torque"]) - 1, min(how.stored, len(drawn["torque"]))).round().astype(int)
-        tensors = {name: torch.as_tensor(each[kept].astype(np.float32)) for name, each in drawn.items()}
-        tensors |= {"time": torch.as_tensor(posterior["time"].values), "statistics": torch.as_tensor(statistics(found))}
-        tensors |= {"mean": torch.as_tensor(drawn["torque"].mean(0)), "spread": torch.as_tensor(drawn["torque"].std(0))}
         turns = idata["constant_data"].get("turns")
-        return tensors | words(
-            notes=[few] if (few := uneven(idata)) else [],
-            quantities={name: unit for name, (_, unit) in found.items()},
-            joints=[str(name) for name in posterior["joint"].values],
-            turns=[True] * posterior.sizes["joint"] if turns is None else [bool(each) for each in turns.values],
-            units={name: str(posterior[name].attrs["units"]) for name in CURVES},
-        )
+        return {
+            **{name: torch.as_tensor(each[kept].astype(np.float32)) for name, each in drawn.items()},
+            "time": torch.as_tensor(posterior["time"].values),
+            "statistics": torch.as_tensor(statistics(found)),
+            "mean": torch.as_tensor(drawn["torque"].mean(0)),
+            "spread": torch.as_tensor(drawn["torque"].std(0)),
+            "notes": [few] if (few := uneven(idata)) else [],
+            "quantities": {name: unit for name, (_, unit) in found.items()},
+            "joints": [str(name) for name in posterior["joint"].values],
+            "turns": [True] * posterior.sizes["joint"] if turns is None else [bool(each) for each in turns.values],
+            "units": {name: str(posterior[name].attrs["units"]) for name in CURVES},
+        }
 
     return _guarded(work)
 
@@ -177,31 +171,16 @@ def bound(trial: Trial, how: How) -> tuple[Problem, list[Any]]:
     return problem, free_parameters(problem, tuple(how.settings or ()), how.learn_lengths)
 
 
-def words(**values: Any) -> Tensors:
-    """Values that JSON can hold, as a tensor of bytes."""
-    return {WORDS: torch.frombuffer(bytearray(json.dumps(values).encode()), dtype=torch.uint8)}
+def _left_out(reason: str) -> Part:
+    return {"left_out": " ".join(reason.split())}
 
 
-def said(part: Tensors) -> dict[str, Any]:
-    """What :func:`words` was given."""
-    return json.loads(bytes(part[WORDS].numpy()))
-
-
-def _left_out(reason: str) -> Tensors:
-    return words(left_out=" ".join(reason.split()))
-
-
-def _guarded(work: Callable[[], Tensors]) -> Tensors:
+def _guarded(work: Callable[[], Part]) -> Part:
     """The result, or why there is none; one trial's error is reported and does not stop the others."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what matters of a trial stands in its words
+            warnings.simplefilter("ignore")  # what matters of a trial stands in its notes
             return work()
     except Exception as error:
         kind = "" if isinstance(error, ValueError | ArithmeticError) else f"{type(error).__name__}: "
         return _left_out(kind + first_line(error))
-
-
-def parameters_of(part: Tensors) -> dict[str, Tensor]:
-    """Values of parameters by name, in one order: what a checkpoint gives back has any."""
-    return dict(sorted(part_of(part, VALUE).items()))

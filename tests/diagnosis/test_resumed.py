@@ -188,5 +188,5 @@ def test_content_is_what_the_numbers_are():
     assert content_digest(np.arange(6.0).reshape(2, 3).T) == content_digest(np.arange(6.0).reshape(2, 3).T.copy())
     others = [1.0, 1, -0.0, 0.0, None, "1", [1.0], np.array([1.0]), np.array([[1.0]]), friction, nonideal(friction)]
     assert len({content_digest(each) for each in others}) == len(others)
-    with pytest.raises(TypeError, match="expected numbers, names and effects, got object"):
+    with pytest.raises(TypeError, match="expected numbers, texts, arrays and records of them, got object"):
         content_digest(object())

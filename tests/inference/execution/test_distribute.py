@@ -12,8 +12,7 @@ import parts
 import pytest
 import torch
 
-from invdyn.inference import SMCOptions, arm_problem, compare, gaussian_smoother, infer
-from invdyn.inference.execution.checkpoint import Checkpoint, flattened, unflattened
+from invdyn.inference import SMCOptions, arm_problem, compare, infer
 from invdyn.inference.execution.distribute import RETRIES, LostWork, distribute
 from invdyn.inference.execution.executors import open_executor
 from invdyn.inference.execution.seeds import derived, seeded
@@ -319,17 +318,3 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch, body):
     assert reported[0][0] > reported[0][1] / 3  # it did not begin at the beginning
     with pytest.raises(InputError, match="seed 4 there, 5 here"):
         infer(SWING, body, seed=5, checkpoint=tmp_path / "run", **sizes)
-
-
-def test_a_kept_guide_is_the_guide(tmp_path):
-    pytest.importorskip("safetensors")
-    problem = arm_problem(SWING, ARM, parameters=KNOWN)
-    smoother = gaussian_smoother(problem.model, problem.observations)
-    Checkpoint(tmp_path).save(flattened(smoother))
-    again = unflattened(type(smoother), Checkpoint(tmp_path).load()[0])
-    flat, kept = flattened(smoother), flattened(again)
-    assert flat.keys() == kept.keys()
-    assert all(torch.equal(flat[name], kept[name]) for name in flat)
-    assert type(again.factors) is type(smoother.factors)
-    assert isinstance(again.factors.U, np.ndarray)
-    assert (again.linearisation.V is None) == (smoother.linearisation.V is None)

@@ -1,15 +1,17 @@
 """The guide that pilots choose: right within its errors, or not usable."""
 
-import json
 import math
 
+import numpy as np
 import pytest
 import torch
 from grids import grid_posterior
 from one_state import Counts, Growth, HeavyTailed, Multiplicative, Positive, Volatility
 
 from invdyn.inference import Guide, SMCOptions, best_guide, gauss_newton, run_filters
-from invdyn.inference.filters.best_guide import MAX_FACTOR, RUN_PARTICLE_STEPS, _most, _Pilot
+from invdyn.inference.execution.checkpoint import Checkpoint
+from invdyn.inference.execution.records import keep, kept
+from invdyn.inference.filters.best_guide import MAX_FACTOR, RECORDS, RUN_PARTICLE_STEPS, _most, _Pilot
 from invdyn.inference.filters.second_opinion import evidence
 
 
@@ -95,22 +97,25 @@ def test_a_seed_gives_the_same_guide_and_leaves_the_generator_alone():
     assert torch.equal(first.opinion, second.opinion)
 
 
-def test_a_guide_is_kept_and_comes_back():
+def test_a_guide_is_kept_and_comes_back(tmp_path):
+    pytest.importorskip("safetensors")
     model = Counts(10)
     torch.manual_seed(3)
     y = model.simulate()[1]
     fitted = best_guide(model, y, SMCOptions(16, 50), seed=5)
     for guide in (fitted, Guide("bootstrap", None, 200, reason="why", doubt="modes")):
-        again = Guide.kept(*guide.to_keep())
+        keep(Checkpoint(tmp_path), guide)
+        again = kept(Checkpoint(tmp_path), *RECORDS)
         assert (again.name, again.num_particles) == (guide.name, guide.num_particles)
         assert (again.reason, again.doubt) == (guide.reason, guide.doubt)
         assert (again.smoother is None) == (guide.smoother is None)
         if guide.smoother is not None:
             assert (again.smoother.factors.U == guide.smoother.factors.U).all()
+            assert isinstance(again.smoother.factors.U, np.ndarray)
             assert torch.equal(again.opinion, guide.opinion)
 
 
-def test_more_particles_are_expected_to_differ_less_and_a_guide_keeps_that():
+def test_more_particles_are_expected_to_differ_less_and_a_guide_keeps_that(tmp_path):
     """By the root of their number; of log-normal evidences 1 in e^(sd²) filters count."""
     log_evidence = torch.linspace(-4, 4, 16, dtype=torch.float64)
     few = evidence(log_evidence, "controlled").filter_sd
@@ -118,8 +123,9 @@ def test_more_particles_are_expected_to_differ_less_and_a_guide_keeps_that():
     assert expected.filter_sd == pytest.approx(few / 4)
     assert expected.outer_ess == pytest.approx(16 * math.exp(-((few / 4) ** 2)))
     guide = Guide("controlled", None, 800, doubt="of modes", expected=expected)
-    tensors, state = guide.to_keep()
-    assert Guide.kept(tensors, json.loads(json.dumps(state))) == guide
+    pytest.importorskip("safetensors")
+    keep(Checkpoint(tmp_path), guide)
+    assert kept(Checkpoint(tmp_path), *RECORDS) == guide
 
 
 def test_particles_are_fewer_where_a_row_takes_more_steps():

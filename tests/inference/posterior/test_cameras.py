@@ -140,7 +140,7 @@ def test_a_session_shares_the_clocks_of_its_cameras():
     parts = (shared, *study.fits)
     sds = [0.05 * part["covariance"].diagonal().sqrt() for part in parts]  # a clock's unit is .05 s
     for part, sd in zip(parts, sds, strict=True):
-        off = part["value camera.offset"] - torch.tensor([0.0, 0.02, 0.0])
+        off = part["values"]["camera.offset"] - torch.tensor([0.0, 0.02, 0.0])
         assert (off[1:].abs() < 3 * sd).all()
     alone = torch.stack(sds[1:]).square().reciprocal().sum(0).rsqrt()
     assert sds[0] == pytest.approx(alone, rel=0.1), "as three trials together tell it"

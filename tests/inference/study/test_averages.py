@@ -7,7 +7,6 @@ import torch
 from invdyn.inference.study.averages import SETS, TIMES, average_curves
 from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.trial import Trial
-from invdyn.inference.study.work import words
 from invdyn.recordings import InputError
 
 BEGIN, EVENT, END = np.array([[0.0, 1.0, 2.0], [5.0, 6.2, 7.4], [1.0, 1.5, 2.5], [0.0, 0.9, 2.0], [0.0, 0.7, 1.7]]).T
@@ -26,7 +25,7 @@ def straight(k, joints=("elbow", "slide")):
     mean = (SLOPE[k] * (time - EVENT[k]) + LEVEL[k])[:, None] * np.array([1.0, 3.0])[: len(joints)]
     numbers = {"time": time, "mean": mean, "spread": np.full_like(mean, SD[k])}
     said = {"joints": joints, "turns": [True, False][: len(joints)], "units": {"torque": "N·m"}}
-    return {name: torch.as_tensor(values) for name, values in numbers.items()} | words(**said)
+    return {name: torch.as_tensor(values) for name, values in numbers.items()} | said
 
 
 def test_each_time_is_pooled_over_the_trials_that_cover_it():

@@ -9,6 +9,7 @@ import torch
 import xarray as xr
 
 from invdyn.inference import infer, open_executor
+from invdyn.inference.execution.records import Plain
 from invdyn.inference.filters.filtering import SMCOptions
 from invdyn.inference.study import run as run_module
 from invdyn.inference.study import work
@@ -17,10 +18,7 @@ from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import (
     fit_trial,
     infer_trial,
-    parameters_of,
-    said,
     share_session,
-    words,
 )
 from invdyn.inputs import load_body
 from invdyn.models import SmoothAndRough, planar_body
@@ -56,9 +54,7 @@ def study(trials, tmp_path_factory):
 def same(one, other):
     assert one.left_out == other.left_out
     for place, part in one.posteriors.items():
-        assert part.keys() == other.posteriors[place].keys()
-        for name, value in part.items():
-            assert value.numpy().tobytes() == other.posteriors[place][name].numpy().tobytes()
+        assert Plain().of(part) == Plain().of(other.posteriors[place])  # which has arrays by their content
 
 
 def test_what_does_not_fit_is_named_and_the_others_go_on(study):
@@ -80,13 +76,13 @@ def test_a_trial_that_is_left_out_moves_no_other(study, trials):
 def test_a_session_shares_one_set_of_parameters(study, trials):
     (first, one), (second, two) = study.sessions
     assert (first, second) == ((0, 1), (2, 3))
-    assert not torch.equal(parameters_of(one)["torque.scale"], parameters_of(two)["torque.scale"])
+    assert not torch.equal(one["values"]["torque.scale"], two["values"]["torque.scale"])
     alone = [fit_trial(trial, HOW) for trial in trials[:2]]
     again = share_session(trials[:2], alone, HOW)
-    for name, value in parameters_of(one).items():
-        assert torch.equal(value, parameters_of(again)[name])
-    noise = [float(parameters_of(fit)["emission.keypoint_scale"].log().mean()) for fit in alone]
-    shared = float(parameters_of(one)["emission.keypoint_scale"].log().mean())
+    for name, value in one["values"].items():
+        assert torch.equal(value, again["values"][name])
+    noise = [float(fit["values"]["emission.keypoint_scale"].log().mean()) for fit in alone]
+    shared = float(one["values"]["emission.keypoint_scale"].log().mean())
     assert min(noise) < shared < max(noise)
 
 
@@ -109,9 +105,9 @@ def test_a_session_shares_its_body(trials, monkeypatch):
     drawn = []
     task = work.Task
     monkeypatch.setattr(work, "Task", lambda *given: drawn.append(task(*given)) or drawn[-1])
-    assert said(infer_trial(own[0], HOW, fits[0], shared, 0))["notes"] == []
+    assert infer_trial(own[0], HOW, fits[0], shared, 0)["notes"] == []
     assert drawn[0].candidates[0].of_more_rows
-    assert said(infer_trial(own[0], HOW, fits[0], fits[0], 0))["notes"] == []
+    assert infer_trial(own[0], HOW, fits[0], fits[0], 0)["notes"] == []
     assert not drawn[1].candidates[0].of_more_rows
 
 
@@ -119,13 +115,13 @@ def test_a_posterior_is_at_the_parameters_of_its_session(trials, monkeypatch):
     """What the trial's own fit found is where its path begins; what its session does not explain is left out."""
     fit = fit_trial(trials[0], HOW)
     own = infer_trial(trials[0], HOW, fit, fit, 5)
-    other = {name: 3.0 * value if name.startswith("value ") else value for name, value in fit.items()}
+    other = {**fit, "values": {name: 3.0 * value for name, value in fit["values"].items()}}
     assert torch.equal(infer_trial(trials[0], HOW, other, fit, 5)["torque"], own["torque"])
     assert not torch.equal(infer_trial(trials[0], HOW, fit, fit, 6)["torque"], own["torque"])
     # 8 draws kept of 64
     assert (own["spread"] / own["torque"].double().std(0)).median().item() == pytest.approx(1.0, abs=0.2)
     monkeypatch.setattr(work, "evidence_note", lambda idata: "too rough")
-    assert said(infer_trial(trials[0], HOW, fit, fit, 5))["left_out"] == "the evidence of laplace is too rough"
+    assert infer_trial(trials[0], HOW, fit, fit, 5)["left_out"] == "the evidence of laplace is too rough"
     at = []
 
     def unexplained(problem, path):
@@ -133,8 +129,8 @@ def test_a_posterior_is_at_the_parameters_of_its_session(trials, monkeypatch):
         return ["it is off"]
 
     monkeypatch.setattr(work, "unexplained", unexplained)
-    assert said(infer_trial(trials[0], HOW, fit, other, 5))["left_out"] == "at its session's parameters it is off"
-    for name, value in parameters_of(other).items():
+    assert infer_trial(trials[0], HOW, fit, other, 5)["left_out"] == "at its session's parameters it is off"
+    for name, value in other["values"].items():
         assert at[0][name].numpy() == pytest.approx(value.numpy())
 
 
@@ -144,8 +140,8 @@ def test_a_trial_without_evidence_keeps_no_session_from_sharing(trials):
     broken = {**alone[1], "path": alone[1]["path"] * float("inf")}
     shared = share_session([*trials[:2], trials[1]], [*alone, broken], HOW)
     expected = share_session(trials[:2], alone, HOW)
-    for name, value in parameters_of(expected).items():
-        assert parameters_of(shared)[name].numpy() == pytest.approx(value.numpy(), rel=0.15)  # it begins elsewhere
+    for name, value in expected["values"].items():
+        assert shared["values"][name].numpy() == pytest.approx(value.numpy(), rel=0.15)  # it begins elsewhere
 
 
 @pytest.mark.long
@@ -161,7 +157,7 @@ def test_the_table_labels_each_number_as_what_it_is(study):
     table = study.table.set_index(["trial", "joint", "quantity"])
     assert len(study.table) == 4 * 2 * 8
     part = study.posteriors[2]
-    names = list(said(part)["quantities"])
+    names = list(part["quantities"])
     for q, quantity in enumerate(names):
         for k, joint in enumerate(BODY.joint_names):
             assert table.loc[("t2", joint, quantity), "mean"] == pytest.approx(
@@ -294,7 +290,7 @@ def test_a_process_of_the_torque_does_not_change_a_checkpoint(trials):
 def test_tracks_of_other_points_share_nothing(trials):
     first = trials[0]
     other = replace(first, name="o", recording=first.recording.with_keypoints(first.recording.keypoint_names[::-1]))
-    fits = dict.fromkeys(range(3), words(notes=[]))
+    fits = {k: {"values": {}} for k in range(3)}
     assert _groups([first, trials[1], other], fits) == [(0, 1), (2,)]
     assert _fingerprint([first], HOW) != _fingerprint([replace(other, name=first.name)], HOW)
 
@@ -308,10 +304,9 @@ def test_what_changes_the_numbers_changes_a_checkpoint_and_bodies_share_nothing(
     for other in ([replace(heavy, name=first.name)], [later], [moved]):
         assert _fingerprint(other, HOW) != own
     assert _fingerprint([first], replace(HOW, seed=1)) != own
-    assert own["kept"] == ("path", "covariance")  # an older study kept no covariance
-    fits = dict.fromkeys(range(2), words(notes=[]))
+    fits = {k: {"values": {}} for k in range(2)}
     assert _groups([first, heavy], fits) == [(0,), (1,)]
-    other = words(notes=[]) | {"value torque.scale": torch.ones(3)}
+    other = {"values": {"torque.scale": torch.ones(3)}}
     assert _groups([first, trials[1]], {0: fits[0], 1: other}) == [(0,), (1,)]
 
 

@@ -16,8 +16,6 @@ from invdyn.inference.study.study import Study, estimates
 from invdyn.inference.study.trial import How, Trial
 from invdyn.inference.study.work import (
     NOT_SETTLED,
-    said,
-    words,
 )
 from invdyn.recordings import InputError, read_sto
 from invdyn.study_commands import study_text
@@ -35,7 +33,7 @@ def made(seed, joints=("shoulder", "elbow"), begin=0.0):
     units = {"units": {"torque": "N·m", "angle": "rad", "velocity": "rad/s"}}
     numbers = torch.as_tensor(np.abs(rng.normal(size=(1, len(joints), 5))))
     time = torch.linspace(begin, begin + 1, 20, dtype=torch.float64)
-    return {**drawn, **moments, "time": time, "statistics": numbers, **words(**said_of_it, **units)}
+    return {**drawn, **moments, "time": time, "statistics": numbers, **said_of_it, **units}
 
 
 def of_parts(parts, event="touch", names=None):
@@ -55,7 +53,7 @@ def test_an_average_is_of_the_trials_that_have_the_joint():
     averages = of_parts(parts).averages("touch")
     assert set(averages["joint"]) == {"shoulder", "elbow"}
     alike = [parts[0], {**parts[1], "mean": parts[1]["mean"].flip(-1), "spread": parts[1]["spread"].flip(-1)}, parts[3]]
-    alike[1] |= {"words": parts[0]["words"]}
+    alike[1] |= {"joints": parts[0]["joints"]}
     study = of_parts(alike)
     study = replace(study, trials=(*study.trials[:2], replace(study.trials[2], factors={"condition": "y"})))
     expected = study.averages("touch")
@@ -99,9 +97,9 @@ def test_what_is_in_doubt_is_said(tmp_path):
     gap = "shoulder may have turned the other way"
     study = of_parts([made(i) for i in range(3)])
     few = "few of the bodies drawn carry the weight"
-    study.posteriors[2] |= words(**said(study.posteriors[2]) | {"notes": [few]})
-    fits = tuple(words(notes=notes) for notes in ([gap, NOT_SETTLED], [NOT_SETTLED], [NOT_SETTLED]))
-    sessions = (((0, 1), words(notes=["shared did not settle"])), ((2,), words(notes=[])))
+    study.posteriors[2] |= {"notes": [few]}
+    fits = tuple({"notes": notes} for notes in ([gap, NOT_SETTLED], [NOT_SETTLED], [NOT_SETTLED]))
+    sessions = (((0, 1), {"values": {}, "notes": ["shared did not settle"]}), ((2,), {"values": {}, "notes": []}))
     study = replace(study, fits=fits, sessions=sessions)
     expected = [("t0", gap), ("t0", "shared did not settle"), ("t1", "shared did not settle"), ("t2", NOT_SETTLED)]
     expected += [("t2", few)]
@@ -130,7 +128,7 @@ def test_tables_say_of_how_many_trials_and_in_which_unit():
     effect = torch.tensor([9.0, 0.0, 9.0, 9.0, 9.0]) * torch.tensor([[1.0], [0.01]])
     study = of_parts([{**made(i), "statistics": numbers + effect * (i % 2)} for i in range(6)])
     for part in study.posteriors.values():
-        part |= words(**said(part) | {"turns": [True, False]})
+        part |= {"turns": [True, False]}
     others = [replace(study.trials[4], factors={}), replace(study.trials[5], factors={"condition": ""})]
     study = replace(study, trials=(*study.trials[:4], *others))
     difference = study.difference().set_index("joint")
@@ -141,7 +139,7 @@ def test_tables_say_of_how_many_trials_and_in_which_unit():
     averages = study.averages("touch")
     assert set(averages["trials"]) == {2}
     assert averages.groupby("joint")["unit"].unique().to_dict() == {"shoulder": ["N·m"], "elbow": ["N"]}
-    shared = (((0, 1), {"value torque.scale": torch.tensor([1.0, 2.0]), **words(notes=[])}),)
+    shared = (((0, 1), {"values": {"torque.scale": torch.tensor([1.0, 2.0])}, "notes": []}),)
     parameters = replace(study, sessions=shared).parameters
     assert parameters[["trials", "entry", "value"]].to_numpy().tolist() == [[2, 0, 1.0], [2, 1, 2.0]]
 
@@ -154,7 +152,7 @@ def test_a_sessions_file_holds_trials_of_any_length(tmp_path):
         n: parts[1][n][:15] for n in ("time", "mean", "spread")
     }
     for part in parts:
-        part |= words(**said(part) | {"turns": [True, False]})
+        part |= {"turns": [True, False]}
     study = of_parts(parts)
     ends = [part["time"][-1].item() - 0.5 for part in parts[:3]]
     assert study.averages("touch")["time"].max() == pytest.approx(min(np.median(ends[::2]), ends[1]))

@@ -1,0 +1,86 @@
+"""Results as a checkpoint holds them: values as JSON has them without loss, and the arrays in them as tensors.
+
+A value is a number, a text, None, an array or a tensor, or a list, tuple, mapping or dataclass of such values. Arrays
+and tensors are named by their content: what is there twice is kept once. To read a value runs no code, and makes no
+other objects than those of the dataclasses that the reader names.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from invdyn.inference.execution.checkpoint import Checkpoint, digest
+
+
+def keep(checkpoint: Checkpoint, value: Any) -> None:
+    """Replace a checkpoint by one of a ``value``. Raises TypeError for one of another kind than those above."""
+    plain = Plain()
+    state = plain.of(value)
+    checkpoint.save(plain.tensors, value=state)
+
+
+def kept(checkpoint: Checkpoint, *kinds: type) -> Any:
+    """What :func:`keep` was given, with dataclasses of these ``kinds``; None where there is no checkpoint yet."""
+    found = checkpoint.load()
+    return None if found is None else Restored(found[0], kinds).of(found[1]["value"])
+
+
+class Plain:
+    """Values as JSON holds them; a subclass may know further kinds.
+
+    Attributes:
+        tensors: those in them, by name.
+    """
+
+    def __init__(self) -> None:
+        self.tensors: dict[str, Tensor] = {}
+
+    def of(self, value: Any) -> Any:
+        """A value as JSON holds it."""
+        if isinstance(value, Tensor | np.ndarray):
+            own = (
+                value.detach().cpu() if isinstance(value, Tensor) else np.ascontiguousarray(value).reshape(value.shape)
+            )
+            tensor = torch.as_tensor(own)
+            name = digest(tensor)
+            self.tensors[name] = tensor
+            return {"tensor" if isinstance(value, Tensor) else "array": name}
+        if isinstance(value, list | tuple):
+            return {type(value).__name__: [self.of(each) for each in value]}
+        if isinstance(value, Mapping):
+            return {"dict": {key: self.of(each) for key, each in value.items()}}
+        if is_dataclass(value) and not isinstance(value, type):
+            inner = {each.name: self.of(getattr(value, each.name)) for each in fields(value)}
+            return {"record": type(value).__name__, "fields": inner}
+        value = value.item() if isinstance(value, np.generic) else value
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        raise TypeError(f"expected numbers, texts, arrays and records of them, got {type(value).__name__}")
+
+
+class Restored:
+    """Values of which :class:`Plain` made what JSON holds, with its ``tensors`` and dataclasses of some ``kinds``."""
+
+    def __init__(self, tensors: Mapping[str, Tensor], kinds: tuple[type, ...]):
+        self.tensors, self.kinds = tensors, {each.__name__: each for each in kinds}
+
+    def of(self, state: Any) -> Any:
+        """The value."""
+        match state:
+            case {"tensor": name}:
+                return self.tensors[name]
+            case {"array": name}:
+                return self.tensors[name].numpy()
+            case {"list": values}:
+                return [self.of(each) for each in values]
+            case {"tuple": values}:
+                return tuple(self.of(each) for each in values)
+            case {"dict": values}:
+                return {key: self.of(each) for key, each in values.items()}
+            case {"record": kind, "fields": own}:
+                return self.kinds[kind](**{key: self.of(each) for key, each in own.items()})
+        return state
