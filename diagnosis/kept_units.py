@@ -10,8 +10,6 @@ checkpoints (:mod:`invdyn.inference.execution.checkpoint`): to read them runs no
 numbers. They follow from the problem, the effects that the unit was given, and the parameters.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import wraps
@@ -21,6 +19,7 @@ import numpy as np
 from pyro.distributions import Distribution
 from torch import Tensor
 
+from invdyn.inference.execution import records
 from invdyn.inference.execution.distribute import Tensors, inside
 from invdyn.inference.execution.records import Plain, Restored
 from invdyn.models import ArmModel
@@ -36,12 +35,12 @@ FAILURES = {each.__name__: each for each in (Diverged, Singular, NotTogether)}
 
 
 def kept_unit(
-    name: str, *records: type
+    name: str, *kinds: type
 ) -> Callable[[Callable[Concatenate[Any, P], T]], Callable[Concatenate[Any, P], T]]:
     """Keep what a function returns, or raises, in its problem's checkpoint; where that has none, it is only computed.
 
     The problem is the function's first argument. Its content and all other arguments are what the result depends on.
-    The problem's budget is brought to where the unit left it. Results hold ``records``, the classes of dataclasses in
+    The problem's budget is brought to where the unit left it. Results hold ``kinds``, the classes of dataclasses in
     them, besides what :class:`_Plain` takes. Arrays are laid out row by row, as they come back: sums, and so
     the last bit, depend on that.
     """
@@ -54,15 +53,15 @@ def kept_unit(
             budget = problem.budget
             before, missed = budget.done, budget.missed
             known = _Plain()
-            inputs = known.of([problem.content, given, options, before])
-            store = inside(problem.checkpoint, f"{name}-{_name_of(inputs)}")
+            inputs = records.content_digest([problem.content, given, options, before], known)
+            store = inside(problem.checkpoint, f"{name}-{inputs}")
             assert store is not None
             if (found := store.load()) is not None:
                 tensors, state = found
                 budget.done, budget.missed = state["done"], missed | set(state["missed"])
                 if "failure" in state:
                     raise FAILURES[state["failure"]](state["words"])
-                return _Restored(tensors, records, problem.model, known.effects).of(state["result"])
+                return _Restored(tensors, kinds, problem.model, known.effects).of(state["result"])
 
             def spent() -> dict[str, Any]:
                 return {"done": budget.done, "missed": sorted(budget.missed - missed)}
@@ -134,9 +133,5 @@ class _Restored(Restored):
 
 
 def content_digest(value: Any) -> str:
-    """A short hexadecimal name of a value's content: equal for equal numbers, whichever type holds them."""
-    return _name_of(_Plain().of(value))
-
-
-def _name_of(plain: Any) -> str:
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:24]
+    """As of :mod:`.records`, of effects and models, too."""
+    return records.content_digest(value, _Plain())

@@ -13,7 +13,7 @@ Shapes: observations (T, O).
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -24,7 +24,10 @@ from invdyn.inference.preconditions import LINEARISING, NEEDS
 from invdyn.inference.probe import ModelError, Probe
 from invdyn.models.state_space import StateSpaceModel
 
-__all__ = ["ModelError", "check_model"]
+__all__ = ["ModelError", "check_model", "in_float64"]
+
+M = TypeVar("M", bound=StateSpaceModel)
+"""The class of the model, which is kept."""
 
 INHERITED = "_checked"
 """Attribute that holds the result of a check: the model's attributes then, and the verdicts."""
@@ -56,6 +59,12 @@ def check_model(model: StateSpaceModel, observations: Any, *, needs: Iterable[st
             if need in needs and (message := verdicts[need]) is not None:
                 raise ModelError(message)
     return _as_model(model, rows)
+
+
+def in_float64(model: M, observations: Tensor, *, needs: Iterable[str] = ()) -> tuple[M, Tensor]:
+    """A model and its rows as methods that linearise take them; checked for these ``needs``, if there are some."""
+    rows = check_model(model, observations, needs=needs) if needs else observations
+    return model.to(dtype=torch.float64, device="cpu"), rows.detach().cpu().double()
 
 
 def _verdicts(model: StateSpaceModel, rows: Tensor, gaps: bool, linearises: bool) -> Verdicts:

@@ -79,5 +79,7 @@ NEEDS: dict[str, Callable[[Probe], None]] = {
 * ``transition_density``: the transition has a finite density wherever it draws.
 """
 
+LINEARISABLE = ("gaussian_transition", "emission_of_state")
+"""What Gaussian smoothers need."""
 LINEARISING = {"gaussian_transition", "constant_covariance"}
 """Needs of methods that linearise, which compute on the CPU in float64."""

@@ -170,11 +170,6 @@ def digest(*tensors: Tensor) -> str:
     return hashed.hexdigest()[:16]
 
 
-def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """Tensors whose names begin so, by the rest of their names."""
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-
 def random_state(device: torch.device | str = "cpu") -> dict[str, Tensor]:
     """State of torch's generators, of the CPU's and of ``device``'s where that is CUDA's, as tensors to be saved."""
     state = {"random.cpu": torch.get_rng_state()}

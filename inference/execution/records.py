@@ -5,6 +5,8 @@ and tensors are named by their content: what is there twice is kept once. To rea
 other objects than those of the dataclasses that the reader names.
 """
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -27,6 +29,12 @@ def kept(checkpoint: Checkpoint, *kinds: type) -> Any:
     """What :func:`keep` was given, with dataclasses of these ``kinds``; None where there is no checkpoint yet."""
     found = checkpoint.load()
     return None if found is None else Restored(found[0], kinds).of(found[1]["value"])
+
+
+def content_digest(value: Any, plain: "Plain | None" = None) -> str:
+    """A short hexadecimal name of a value's content: equal for equal numbers, whichever type holds them."""
+    known = json.dumps((plain or Plain()).of(value), sort_keys=True)
+    return hashlib.sha256(known.encode()).hexdigest()[:24]
 
 
 class Plain:

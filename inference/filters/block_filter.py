@@ -28,6 +28,7 @@ from torch import Tensor
 
 from invdyn.inference.filters.controlled import triangular
 from invdyn.inference.filters.particles import FilterResult
+from invdyn.inference.filters.resampling import check_sizes
 from invdyn.inference.filters.weights import ancestors_where, row_log_prob
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.models.divergence import ran_away
@@ -62,10 +63,9 @@ class BlockFilter:
         block: int = BLOCK,
         ess_threshold: float = 0.5,
     ):
-        if num_particles < 1 or block < 1:
-            raise ValueError(f"expected one particle and one row a block at least, got {num_particles} and {block}")
-        if not 0 < ess_threshold <= 1:
-            raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
+        check_sizes(len(smoothers.path), num_particles, ess_threshold)
+        if block < 1:
+            raise ValueError(f"expected at least one row a block, got {block}")
         self.model, self.block = model, block
         self.num_particles, self.ess_threshold = num_particles, ess_threshold
         factors, linear = smoothers.factors, smoothers.linearisation

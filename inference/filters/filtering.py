@@ -163,15 +163,21 @@ def run_filters(
     fast = in_type(model, observations, options, dtype)
     rows = check_model(fast, observations)
     proposal = _proposal(guide, fast, observations, smoother)
-    particle_filter = kind(
-        fast,
-        proposal,
+    return filters_of(fast, proposal, options, kind).run(rows, keep=keep, progress=progress, windows=windows)
+
+
+def filters_of(
+    model: StateSpaceModel, guide: Proposal, options: SMCOptions, kind: type[ParticleFilter] = ParticleFilter
+) -> ParticleFilter:
+    """The filters of a model and its guide that the options say."""
+    return kind(
+        model,
+        guide,
         options.num_particles,
         num_filters=options.num_filters,
         ess_threshold=options.ess_threshold,
         resampling=options.resampling,
     )
-    return particle_filter.run(rows, keep=keep, progress=progress, windows=windows)
 
 
 def in_type(

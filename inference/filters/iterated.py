@@ -32,6 +32,7 @@ import torch
 from pyro.infer.smcfilter import SMCFailed
 from torch import Tensor
 
+from invdyn.inference.contract import in_float64
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.nested import outer_weights
 from invdyn.inference.filters.particles import FilterResult
@@ -120,7 +121,7 @@ def refitted_over_paths(
     """
     runs = _piloted(smoothers, pilot)
     smoother, result = min(_not_lower(runs), key=lambda run: _filter_sd(run[1]))
-    model, rows = model.to(dtype=torch.float64, device="cpu"), observations.detach().cpu().double()
+    model, rows = in_float64(model, observations)
     for _ in range(3 * iterations):
         before = _found(result).log_evidence
         paths = genealogy(result, LINES).cpu().double()
@@ -182,8 +183,7 @@ def refit(
     num_points: int = 3000,
 ) -> GaussianSmoother:
     """One backward sweep over the particles of ``results``, runs of the same model that kept all rows."""
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations = observations.detach().cpu().double()
+    model, observations = in_float64(model, observations)
     path, old = smoother.path, smoother.factors
     steps = len(path)
     U, b, log_c = old.U.copy(), old.b.copy(), old.log_c.copy()

@@ -20,6 +20,7 @@ from invdyn.inference.contract import ModelError, check_model
 from invdyn.inference.execution.seeds import Stream
 from invdyn.inference.filters.bootstrap import Bootstrap
 from invdyn.inference.filters.proposal import Particles, Proposal
+from invdyn.inference.filters.resampling import check_sizes
 from invdyn.inference.filters.weights import advanced, resampled
 from invdyn.models.state_space import StateSpaceModel
 
@@ -81,11 +82,7 @@ def filter_rows(
     threshold outside its range or a guide with a twist; SMCFailed when all particles of a filter have weight zero.
     """
     guide = guide or Bootstrap(model)
-    if num_particles < 1 or num_filters < 1 or not 0 < ess_threshold <= 1:
-        raise ValueError(
-            f"expected at least one particle and filter and an ess_threshold in (0, 1], got {num_particles}, "
-            f"{num_filters} and {ess_threshold}"
-        )
+    check_sizes(num_filters, num_particles, ess_threshold)
     if hasattr(guide, "log_twist"):
         raise ValueError(f"expected a guide without a twist, got {type(guide).__name__}: use Bootstrap")
     # Rows are still to come: those of a run in which nothing was seen stand for them.

@@ -38,6 +38,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.compiled import CompiledRows
 from invdyn.inference.filters.particles import FilterResult, FilterState, History
 from invdyn.inference.filters.proposal import Particles, Proposal, PyroSteps
+from invdyn.inference.filters.resampling import check_sizes
 from invdyn.inference.filters.weights import Row, advanced, normalised, resampled
 from invdyn.inference.filters.windows import in_windows, window_rows
 from invdyn.models.divergence import ran_away
@@ -80,10 +81,7 @@ class ParticleFilter(SMCFilter):
         resampling: str = "systematic",
         compiled: bool = False,
     ):
-        if not 0 < ess_threshold <= 1:
-            raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
-        if num_particles < 1 or (num_filters is not None and num_filters < 1):
-            raise ValueError("expected at least one particle and one filter")
+        check_sizes(1 if num_filters is None else num_filters, num_particles, ess_threshold)
         super().__init__(model, guide, num_particles, max_plate_nesting, ess_threshold=ess_threshold)
         self.num_filters = num_filters
         self.resampling = resampling

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import torch
@@ -49,6 +49,11 @@ class FilterResult:
                 twist = None if some.log_twist is None else some.log_twist[k]
                 yield some.states[k], some.log_weights[k], twist, some.ancestors[k]
             some = some.before and some.before()
+
+    def of_filters(self, own: Tensor | slice, log_evidence: Tensor) -> "FilterResult":
+        """What is known, particles aside, of the filters ``own``, with other log-evidences (M,)."""
+        numbers = {name: getattr(self, name)[:, own] for name in ("log_evidence_increment", "ess", "resampled")}
+        return replace(self, log_evidence=log_evidence[own], **numbers)
 
     def cpu(self) -> "FilterResult":
         """The same on the CPU, where paths are smoothed in float64, as the smoother is."""

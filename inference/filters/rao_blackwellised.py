@@ -30,7 +30,7 @@ from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import genealogy
 from invdyn.inference.filters.particles import FilterResult, History, take
 from invdyn.inference.filters.proposal import draw
-from invdyn.inference.filters.resampling import categorical
+from invdyn.inference.filters.resampling import categorical, check_sizes
 from invdyn.inference.filters.weights import ancestors_where, normalised
 from invdyn.models.conditionally_linear import ConditionallyLinear
 from invdyn.models.finite import StateNumber
@@ -106,11 +106,7 @@ def rao_blackwellised(
     a threshold outside its range, TypeError for "optimal" with an outer state that is not finite, and SMCFailed when
     all particles of a filter have weight zero.
     """
-    if num_particles < 1 or num_filters < 1 or not 0 < ess_threshold <= 1:
-        raise ValueError(
-            f"expected at least one particle and filter and an ess_threshold in (0, 1], got {num_particles}, "
-            f"{num_filters} and {ess_threshold}"
-        )
+    check_sizes(num_filters, num_particles, ess_threshold)
     if proposal not in ("prior", "optimal"):
         raise ValueError(f'expected the proposal "prior" or "optimal", got {proposal!r}')
     observations = check_model(model, observations).double()

@@ -101,6 +101,15 @@ def resample(log_weights: Tensor, scheme: str = "systematic") -> Tensor:
     return RESAMPLERS[scheme](weights)
 
 
+def check_sizes(num_filters: int, num_particles: int, ess_threshold: float) -> None:
+    """Raise ValueError unless there is a filter and a particle, and the threshold, a share of N, is in (0, 1]."""
+    if num_particles < 1 or num_filters < 1 or not 0 < ess_threshold <= 1:
+        raise ValueError(
+            f"expected at least one particle and filter and an ess_threshold in (0, 1], got {num_particles}, "
+            f"{num_filters} and {ess_threshold}"
+        )
+
+
 def ess(log_weights: Tensor) -> Tensor:
     """Effective sample size (Σ W)² / Σ W² over the last dimension; computed in float64."""
     log_weights = log_weights.double()

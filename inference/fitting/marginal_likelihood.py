@@ -14,9 +14,10 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from invdyn.inference.contract import check_model
+from invdyn.inference.contract import check_model, in_float64
 from invdyn.inference.fitting.log_parameters import Free, M
 from invdyn.inference.fitting.objective import Objective
+from invdyn.inference.preconditions import LINEARISABLE
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
 from invdyn.inference.smoothing.posterior_linearisation import posterior_linearisation
 
@@ -78,8 +79,7 @@ def fit(
 
     Raises KeyError for a parameter that the model does not have, and Diverged where the start has no finite evidence.
     """
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations = observations.detach().cpu().double()
+    model, observations = in_float64(model, observations)
     model.check_names(f.name for f in free)
     if not free:
         smoother = posterior_linearisation(model, observations, gauss_newton(model, observations, start=start))
@@ -89,7 +89,7 @@ def fit(
         )
     objective = Objective(model, observations, free, start)
     # Once: copies with other numbers inherit the result.
-    check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
+    check_model(model, observations, needs=LINEARISABLE)
 
     def report(done: int, phi: np.ndarray) -> bool:
         if progress is not None:

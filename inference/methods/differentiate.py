@@ -59,9 +59,7 @@ def joint_angles(
         for i in np.flatnonzero(wrapped[seen, k])[1 if wrapped[seen[0], k] else 0 :]:
             angle[i] += 2 * np.pi * np.round((angle[i - 1] - angle[i]) / (2 * np.pi))
         absolute[:, k] = np.interp(time, time[seen], angle)
-        edges = np.concatenate([[-np.inf], time[seen], [np.inf]])
-        place = np.searchsorted(time[seen], time, side="right")
-        gap[:, k] = np.where(np.isfinite(links[:, k]), 0.0, edges[place + 1] - edges[place])
+        gap[:, k] = _gaps(time, np.isfinite(links[:, k]))
     # A joint's angle is the difference of two links', and has the gaps of both.
     gap[:, 1:] = np.maximum(gap[:, 1:], gap[:, :-1])
     return within_half_a_turn(np.diff(absolute, axis=1, prepend=0.0), wrapped), gap
@@ -82,10 +80,14 @@ def tree_angles(model: ArmModel, body: Body, observations: Tensor) -> tuple[np.n
     if not len(seen):
         raise InputError("no row is wholly seen, as filter-and-differentiate needs it: use another method")
     poses = np.stack([np.interp(time, time[seen], column[seen]) for column in poses.T], -1)
+    return poses, np.broadcast_to(_gaps(time, whole)[:, None], poses.shape)
+
+
+def _gaps(time: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Lengths (T,) of the gaps that rows lie in, s: 0 where they were ``seen`` (T,), inf at an open end."""
     edges = np.concatenate([[-np.inf], time[seen], [np.inf]])
     place = np.searchsorted(time[seen], time, side="right")
-    gap = np.where(whole, 0.0, edges[np.minimum(place + 1, len(edges) - 1)] - edges[place])
-    return poses, np.broadcast_to(gap[:, None], poses.shape)
+    return np.where(seen, 0.0, edges[np.minimum(place + 1, len(edges) - 1)] - edges[place])
 
 
 def derivatives(

@@ -32,8 +32,7 @@ from invdyn.inference.execution.distribute import distribute
 from invdyn.inference.execution.progress import Progress, Report, stage
 from invdyn.inference.execution.seeds import derived, seeded
 from invdyn.inference.filters.backward_simulation import genealogy
-from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
-from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.filtering import SMCOptions, filters_of, in_type, sufficient_dtype
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.resampling import resample
 from invdyn.inference.filters.second_opinion import evidence
@@ -151,7 +150,7 @@ def run_sets(task: SetBatch, progress: Report | None = None) -> Any:
         for own in whole:
             model = stacked([problems[k].model for k in sets[own]], axes=2)
             one = replace(problems[int(numbers[own][0])], model=model)
-            part = None if result is None else _of_filters(result, own, evidences)
+            part = None if result is None else result.of_filters(own, evidences)
             drawn = paths if own.all() else paths[own]  # all of them are not copied
             found.append(_contents(task, one, drawn, evidences[own], part))
     if progress is not None:
@@ -218,27 +217,10 @@ def _filtered(
     rows = observations.to(dtype=models[0].dtype, device=options.device)
     guides = [Corrected(model, rows, smoothers.of_set(k)) for k, model in enumerate(models)]
     model = stacked([models[k] for k in owners])
-    filters = ParticleFilter(
-        model,
-        Corrected.stacked([guides[k] for k in owners], model),
-        options.num_particles,
-        num_filters=len(owners),
-        ess_threshold=options.ess_threshold,
-        resampling=options.resampling,
-    )
+    guide = Corrected.stacked([guides[k] for k in owners], model)
+    filters = filters_of(model, guide, replace(options, num_filters=len(owners)))
     result = filters.run(rows, windows=True).cpu()
     return genealogy(result, options.num_draws), result
-
-
-def _of_filters(result: FilterResult, own: Tensor, evidences: Tensor) -> FilterResult:
-    """Those of a run's filters that are ``own`` (M,), with other ``evidences`` (M,)."""
-    return replace(
-        result,
-        log_evidence=evidences[own],
-        log_evidence_increment=result.log_evidence_increment[:, own],
-        ess=result.ess[:, own],
-        resampled=result.resampled[:, own],
-    )
 
 
 def _contents(

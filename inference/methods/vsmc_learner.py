@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 
 import arviz as az
 import pyro
@@ -15,8 +16,7 @@ from invdyn.inference.execution.progress import Report
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.filters.backward_simulation import backward_simulation
 from invdyn.inference.filters.best_guide import second_opinion
-from invdyn.inference.filters.filtering import SMCOptions, in_type, sufficient_dtype
-from invdyn.inference.filters.particle_filter import ParticleFilter
+from invdyn.inference.filters.filtering import SMCOptions, filters_of, in_type, sufficient_dtype
 from invdyn.inference.filters.particles import FilterResult
 from invdyn.inference.filters.second_opinion import Evidence, evidence
 from invdyn.inference.fitting.log_parameters import Free
@@ -91,15 +91,7 @@ class Learner(ABC):
             return self.bound(PILOTS).mean().item()
 
     def _filters(self, model: StateSpaceModel, guide: Corrected, count: int, report: Report | None) -> FilterResult:
-        o = self.options
-        filters = ParticleFilter(
-            model,
-            guide,
-            o.num_particles,
-            num_filters=count,
-            ess_threshold=o.ess_threshold,
-            resampling=o.resampling,
-        )
+        filters = filters_of(model, guide, replace(self.options, num_filters=count))
         return filters.run(self.rows, progress=report).cpu()
 
     def pilot(self, seed: int) -> Evidence | None:

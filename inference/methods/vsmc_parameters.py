@@ -112,13 +112,7 @@ class OverParameters(Learner):
     ) -> az.InferenceData:
         """InferenceData of filter m."""
         problem = dataclasses.replace(self.problem, model=self.log_parameters.at(phi))
-        own = dataclasses.replace(
-            result,
-            log_evidence=evidence[m : m + 1],
-            log_evidence_increment=result.log_evidence_increment[:, m : m + 1],
-            ess=result.ess[:, m : m + 1],
-            resampled=result.resampled[:, m : m + 1],
-        )
+        own = result.of_filters(slice(m, m + 1), evidence)
         # Those of a body are constants of each part, and become variables where parts are combined.
         names = [f.name for f in self.log_parameters.free if not f.name.startswith("body.")]
         parameters = problem.model.parameters

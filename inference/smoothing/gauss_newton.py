@@ -31,7 +31,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from invdyn.inference.contract import check_model
+from invdyn.inference.contract import in_float64
+from invdyn.inference.preconditions import LINEARISABLE
 from invdyn.inference.smoothing.banded import chain_posterior
 from invdyn.inference.smoothing.linearisation import (
     Deviations,
@@ -153,9 +154,7 @@ def gauss_newton(
     approximation here, and an emission whose mean says nothing of the state; Diverged when the starting path has no
     finite density.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations = observations.detach().cpu().double()
+    model, observations = in_float64(model, observations, needs=LINEARISABLE)
     if start is None:
         start = _by_homotopy(model, observations)
     start = start.detach().cpu().double()
@@ -170,9 +169,8 @@ def gauss_newton_path(
     model: StateSpaceModel, observations: Tensor, start: Tensor, max_iterations: int, tolerance: float
 ) -> Tensor:
     """The path alone, (…, T, D), that :func:`gauss_newton` would find from ``start``; raises as it does."""
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations, start = (values.detach().cpu().double() for values in (observations, start))
-    return _ascend(model, observations, start, max_iterations, tolerance)[0]
+    model, observations = in_float64(model, observations)
+    return _ascend(model, observations, start.detach().cpu().double(), max_iterations, tolerance)[0]
 
 
 def _by_homotopy(model: StateSpaceModel, observations: Tensor) -> Tensor:

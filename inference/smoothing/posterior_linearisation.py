@@ -22,7 +22,8 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.inference.contract import check_model
+from invdyn.inference.contract import in_float64
+from invdyn.inference.preconditions import LINEARISABLE
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother, solve
 from invdyn.inference.smoothing.linearisation import Linearisation, emission_mean, over_rows, prior_chain
 from invdyn.inference.smoothing.newton_rows import averaged_newton_rows, keeps_noise
@@ -46,11 +47,9 @@ def posterior_linearisation(
     can widen it further, and run away. ``log_evidence`` of the result is that of the refitted linear model. A model
     with contact states (:attr:`.StateSpaceModel.contact_states`) is left as it is linearised: no line fits their jumps.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
+    model, observations = in_float64(model, observations, needs=LINEARISABLE)
     if model.contact_states is not None:
         return smoother
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations = observations.detach().cpu().double()
     change = math.inf
     for _ in range(iterations):
         try:

@@ -28,7 +28,8 @@ import math
 import torch
 from torch import Tensor
 
-from invdyn.inference.contract import check_model
+from invdyn.inference.contract import in_float64
+from invdyn.inference.preconditions import LINEARISABLE
 from invdyn.inference.smoothing.gauss_newton import GaussianSmoother
 from invdyn.inference.smoothing.posterior_linearisation import fit_linear, one_pass, recentred_on_mean
 from invdyn.models.divergence import Diverged, Singular, diverging
@@ -52,9 +53,7 @@ def statistical_homotopy(
 
     Raises ModelError for a model that does not fit its rows, Diverged where no pass has a finite path.
     """
-    observations = check_model(model, observations, needs=("gaussian_transition", "emission_of_state"))
-    model = model.to(dtype=torch.float64, device="cpu")
-    observations = observations.detach().cpu().double()
+    model, observations = in_float64(model, observations, needs=LINEARISABLE)
     if isinstance(start, GaussianSmoother):
         return _tightest(model, observations, start)
     if start is not None:

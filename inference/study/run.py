@@ -4,7 +4,6 @@ Trials are fitted alone, sessions share the parameters of trials that fit, and e
 (:mod:`.work`). Bits are the same for any number of workers and however often it was interrupted.
 """
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -13,11 +12,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from invdyn.inference.execution.checkpoint import Checkpoint, digest
+from invdyn.inference.execution.checkpoint import Checkpoint
 from invdyn.inference.execution.distribute import distribute, inside
 from invdyn.inference.execution.progress import Progress, stage
+from invdyn.inference.execution.records import content_digest
 from invdyn.inference.execution.seeds import derived
 from invdyn.inference.methods.registry import METHODS
 from invdyn.inference.renamed_methods import present_name
@@ -109,18 +107,11 @@ def _names(trial: Trial) -> tuple:
 
 def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
     """All that the numbers depend on."""
-    tensors = []
-    for recording in (trial.recording for trial in trials if trial.recording is not None):
-        views = getattr(recording, "views", None)
-        data = [recording.time, recording.keypoints, recording.angles, recording.torques, recording.confidence]
-        data += [] if views is None else [views.pixels]
-        tensors += [torch.as_tensor(each) for each in data if each is not None]
-    bodies = hashlib.sha256("\n".join(repr(trial.body) for trial in trials).encode()).hexdigest()[:16]
     labels = [[*trial.labels.items(), *map(str, trial.events.items()), _names(trial)] for trial in trials]
     return {
         "version": version("invdyn"),
-        "recordings": digest(*tensors),
-        "bodies": bodies,
-        "trials": hashlib.sha256(repr(labels).encode()).hexdigest()[:16],
+        "recordings": content_digest([trial.recording for trial in trials]),
+        "bodies": content_digest([repr(trial.body) for trial in trials]),
+        "trials": content_digest(labels),
         "how": repr(how),
     }

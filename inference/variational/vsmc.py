@@ -42,7 +42,7 @@ from invdyn.inference.contract import check_model
 from invdyn.inference.filters.ot_resampling import transport
 from invdyn.inference.filters.particles import take
 from invdyn.inference.filters.proposal import Particles, Proposal
-from invdyn.inference.filters.resampling import RESAMPLERS, ess
+from invdyn.inference.filters.resampling import RESAMPLERS, check_sizes, ess
 from invdyn.inference.filters.weights import ancestors_where, normalised, row_log_prob
 from invdyn.inference.variational.gradient_checkpointing import recomputed
 from invdyn.inference.variational.pyro_adapter import bound_to, draw, drawn_latents, state_space_model
@@ -111,10 +111,9 @@ class VSMC_ELBO(ELBO):
         synchronous: bool | None = None,
         chunk: int | None = None,
     ):
-        if num_particles < 1 or num_filters < 1 or (chunk is not None and chunk < 1):
-            raise ValueError("expected at least one particle, one filter and, if given, one row a chunk")
-        if not 0 < ess_threshold <= 1:
-            raise ValueError(f"expected an ess_threshold in (0, 1], got {ess_threshold}")
+        check_sizes(num_filters, num_particles, ess_threshold)
+        if chunk is not None and chunk < 1:
+            raise ValueError(f"expected at least one row a chunk, got {chunk}")
         if resampling not in RESAMPLERS:
             raise ValueError(f"expected a resampling scheme among {', '.join(RESAMPLERS)}, got {resampling!r}")
         if gradient not in GRADIENTS:
