@@ -32,7 +32,7 @@ LOWER_BOUNDS = {GAIN: -0.9}
 """Of other numbers: what is commanded for a torque has its sign."""
 USUAL = (*FRICTION, "armature")
 """What a robot's file usually lacks at every joint."""
-ODD = "odd"
-"""Stands for any effect that is there besides these."""
+ODD = ("actuator_saturation", "joint_limit", "joint_coupling")
+"""Of effects that may be there besides these, those that imitate them where they are left out."""
 SHOWN_BY = {"payload": INERTIAL, "stribeck_friction": "coulomb_friction", "load_friction": "coulomb_friction"}
 """Effects of the catalogue that torque is nearly linear in, by the kind that tells of them."""

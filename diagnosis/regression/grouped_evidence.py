@@ -191,7 +191,8 @@ class Choice:
         for kind, every in self.kinds.items():
             mine = next((s.columns for s in best.statements if s.kind == kind), {})
             odd = [{**mine, place: own} for place, own in every.items() if place not in mine]
-            for some, size in product([every] if kind in usual else odd, FIXED.regression_sizes):
+            sizes, sets = (FIXED.regression_sizes, [every]) if kind in usual else (FIXED.regression_sizes[-2:-1], odd)
+            for some, size in product(sets, sizes):
                 yield (*(s for s in best.statements if s.kind != kind), Statement(kind, some, size))
 
     def _fitted(self, statements: tuple[Statement, ...]) -> Chosen:

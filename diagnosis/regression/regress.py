@@ -55,7 +55,7 @@ from invdyn.models import ArticulatedBody
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
 
-PLAIN: tuple[tuple[str, ...] | None, ...] = (None, (*USUAL, INERTIAL, ODD), FRICTION, (*FRICTION, INERTIAL))
+PLAIN: tuple[tuple[str, ...] | None, ...] = (None, (*USUAL, INERTIAL, *ODD), FRICTION, (*FRICTION, INERTIAL))
 """What is chosen by evidence, also beside all that is usual, and fits without a choice that it must not be behind."""
 
 

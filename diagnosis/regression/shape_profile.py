@@ -5,10 +5,9 @@ of an effect's columns Z, these explain
 
     g = ½ bᵀ S⁻¹ b,     b = Zᵀ W (y − X C XᵀWy),     S = Λ_z + Zᵀ (W − W X C Xᵀ W) Z
 
-nats of rows that are independent (variable projection: Golub & Pereyra 1973; Kaufman 1975). First X are the columns of
-what a robot's file usually lacks, at all places, as what is odd is what these leave; Z has each shape of a coarse grid.
-Of effects that were chosen the grid is a fine one, and X what was chosen besides: with one row of τ that counts, a
-shape ψ has the probability e^{g(ψ)/τ}.
+nats of rows that are independent (variable projection: Golub & Pereyra 1973; Kaufman 1975). First X has what a robot's
+file usually lacks, at all places, and Z each shape of a coarse grid. Of effects that were chosen the grid is a fine
+one, and X what was chosen besides: with one row of τ that counts, a shape ψ has the probability e^{g(ψ)/τ}.
 
 Shapes: R rows, K joints, P columns, p of them in X, n of an effect. Units: rad, s, N·m.
 """
@@ -42,8 +41,7 @@ def first_shapes(
     found = {}
     for each in shaped:
         explained = partial(_explained, context, each, along, known, factor)
-        gains = [explained(value)[0] for value in each.grid] if len(each.grid) > 1 else [0.0]
-        value = each.grid[int(np.argmax(gains))]
+        value = each.grid[int(np.argmax([explained(shape)[0] for shape in each.grid]))]
         found[each.key] = Shape(_settled(each, explained, value), len(each.grid))
     return found
 

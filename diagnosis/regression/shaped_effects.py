@@ -38,7 +38,6 @@ from invdyn.models.effects.hidden import Hidden
 
 KNOWN = {*MOTION, "angles", "late", "settling"} - {"pull", "interval"}
 """Stages whose torque a motion tells."""
-SITES = ("joint", "pair", "stop")
 SHARE = Parameter("share", "1", HalfNormal(1.0))
 """Of an effect that has a shape alone: 1 where it is there."""
 
@@ -70,12 +69,9 @@ class Shaped:
 
     def near(self, value: float) -> np.ndarray:
         """A fine grid of the shape about a value, by a factor where it has one sign."""
-        grid = np.sort(self.grid)
-        if grid[0] > 0:
-            fine = value * np.geomspace(1 / FIXED.near_shape, FIXED.near_shape, FIXED.shape_grid)
-        else:
-            fine = value + np.interp(value, grid, np.gradient(grid)) * np.linspace(-1.0, 1.0, FIXED.shape_grid)
-        return fine.clip(grid[0], grid[-1])
+        grid, step = np.sort(self.grid), np.linspace(-1.0, 1.0, FIXED.shape_grid)
+        wide = 0.0 if grid[0] > 0 else np.interp(value, grid, np.gradient(grid))
+        return np.clip(value + wide * step if wide else value * FIXED.near_shape**step, grid[0], grid[-1])
 
     @property
     def of_command(self) -> bool:
@@ -101,7 +97,12 @@ def shaped_effects(
     scale = scale_of(body, motion)
     found = []
     for entry, effect in CATALOGUE.without([*JOINT_KINDS, INERTIAL, *without]).everywhere(body, []):
-        if effect.site not in SITES or not effect.place or isinstance(effect, Hidden) or effect.form:
+        if (
+            effect.site not in ("joint", "pair", "stop")
+            or not effect.place
+            or isinstance(effect, Hidden)
+            or effect.form
+        ):
             continue
         own = parts[effect.place[0]]
         servo, needs = own is not None and own.servo is not None, entry.need_of(effect)

@@ -78,11 +78,11 @@ def weighted_fit(
 ) -> Fitted:
     """Weights and time constants from all columns, then the choice among them, then both again with it.
 
-    Of ``plain`` kinds nothing is chosen: they are there at all places, with `ODD` what gains besides. Columns
+    Of ``plain`` kinds nothing is chosen: they are there at all places, with those of `ODD` what gains besides. Columns
     ``before`` are, too: their coefficients were estimated before, and what is not known of them widens the others.
     ``others`` says that those of joints are wanted.
     """
-    moving = effects.free & effects.columns.moving
+    moving = effects.free & effects.columns.moving & (plain is not None or ~np.isin(effects.kinds, ODD))
     kinds: dict[str, dict[str, tuple[int, ...]]] = {}
     for p in np.flatnonzero(moving):
         places = kinds.setdefault(effects.kinds[p], {})
@@ -105,8 +105,8 @@ def weighted_fit(
         choice = Choice(
             moments, kinds, effects.size, effects.least, tolerated, rules, CONTAINED, (GAIN, INERTIAL, LINK_MASS), tried
         )
-        found = choice.plain(plain) if plain and ODD not in plain else choice.chosen((plain or ())[:-1])
-        chosen = choice.including(found, before)
+        usual = tuple(kind for kind in plain or () if kind not in ODD)
+        chosen = choice.including(choice.plain(usual) if usual == plain else choice.chosen(usual), before)
         columns = np.array(chosen.columns, dtype=int)
         left = left_by(effects, chosen)
         noise = np.maximum(chosen.noise, 1e-300)
