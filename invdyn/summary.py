@@ -77,7 +77,8 @@ def _too_few(idata: az.InferenceData) -> list[str]:
 def doubts_of(idata: az.InferenceData) -> list[str]:
     """What may be wrong with a posterior, one line each; none where nothing is in doubt."""
     few = [f"warning: {each}" for each in (uneven(idata),) if each]
-    return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *few]
+    body = [idata.attrs["body_doubt"]] if "body_doubt" in idata.attrs else []
+    return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *few, *body]
 
 
 def summary_text(idata: az.InferenceData) -> str:
@@ -108,7 +109,7 @@ def summary_text(idata: az.InferenceData) -> str:
         if sets := settings.get("torque_sets"):
             shares = ", ".join(f"{name} {count / sum(sets.values()):.0%}" for name, count in sets.items())
             lines[-1] += f"; draws are of {shares}"
-    notes = ("body_doubt", "engine", "charts", "unseen", "hidden", "base")
+    notes = ("engine", "charts", "unseen", "hidden", "base")
     lines += [str(idata.attrs[note]) for note in notes if note in idata.attrs]
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""What a robot's file does not say of its body, how well it is known, as a part of the torques' uncertainty.
+"""What a file does not say of its body, how well it is known, as a part of the torques' uncertainty.
 
 Where the motion is observed and the torque is not, the torque follows from the motion and the body's numbers φ,
 
@@ -71,10 +71,11 @@ OF_JOINTS = {
 }
 """Variables o, f, b and a of a posterior, with their units where lengths are metres."""
 NOTE = (
-    "the body's file does not say how well its numbers are known: the bands count masses and moments as known to "
-    f"{MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, level to 1°, and what joints take besides, as by "
-    f"friction, to {JOINT:.0%} of a link's weight times its size; damping, dry friction and rotors that it has, to "
-    f"{FILED:.0%}"
+    "torques are net, what moves the links of the body's file: a geared motor's current, or a sensor before a tool, "
+    "shows that motor's friction, or the tool's weight, besides. The file does not say how well its numbers are "
+    f"known: the bands count masses and moments as known to {MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's "
+    f"size, level to 1°, and what joints take besides, as by friction, to {JOINT:.0%} of a link's weight times its "
+    f"size; damping, dry friction and rotors that it has, to {FILED:.0%} (--set exact_body=yes: all are exact)"
 )
 
 

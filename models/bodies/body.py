@@ -52,7 +52,7 @@ class Body(FromFiles):
 
     `uncertainty` has relative sds of all masses (in the plane of length, com and inertia, too), and of joints' parts by
     quantity or of one joint: "mass", "damping", "damping.elbow". `exact` says whether all else is known as it stands:
-    a robot's file, MJCF or URDF, has no place to say so, and its body is not, until `exact` says so.
+    that of a file is not, until `exact` says so, as `exact = true` does in a TOML.
 
     Links are kept with parents before children, else in the order given; `joint_names` are its K
     coordinates. Raises `BodyError` for no links or no coordinates, unknown parents, a cycle, names used twice, inertia

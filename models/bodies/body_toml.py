@@ -16,6 +16,8 @@ A chain in the plane:
     [uncertainty]               # optional relative standard deviations, marginalised; damping.elbow = 0.3 of one joint
     mass = 0.05
 
+A file without any may say `exact = true`, beside its name: its numbers are known as they stand.
+
 Instead of a number, a link's length, mass, com or inertia may be one of two tables:
 
     mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
@@ -116,7 +118,9 @@ def of(tables: dict, path: str) -> tuple[dict, int]:
         raise BodyError(f"{path}: expected links as [[links]] tables, in two brackets, one for each link")
     tables = {key: value for key, value in _with_uncertainty(tables, path).items() if key != "dimensions"}
     base = ("base",) if dimensions == 2 else ()
-    check_keys(tables, ("name", "gravity", *base, "links", "uncertainty"), path)
+    check_keys(tables, ("name", "gravity", *base, "links", "uncertainty", "exact"), path)
+    if not isinstance(exact := tables.get("exact", False), bool):
+        raise BodyError(f"{path}: expected exact = true or false, got {exact!r:.40}")
     found: list[dict] = []
     for place, link in enumerate(links, 1):
         before = {} if dimensions == 2 else {"parent": found[-1]["name"] if found else WORLD}
@@ -145,6 +149,7 @@ def write(
     gravity: Sequence[float],
     links: Sequence[Link],
     uncertainty: Mapping[str, float],
+    exact: bool,
 ) -> None:
     """Write a body's file. Raises `OSError`, and `BodyError` for a prior that no file can express."""
     lines = [f"name = {literal(name)}"]
@@ -153,6 +158,7 @@ def write(
     else:
         base = [nominal(x) for x in links[0].origin or (0.0, 0.0)][:2]
         lines += [f"gravity = {literal(gravity)}", f"base = {literal(base)}"]
+    lines += ["exact = true"] if exact else []
     for link in links:
         values = _written(link, dimensions == 2)
         lines += ["", "[[links]]", *(f"{key} = {literal(value)}" for key, value in values.items())]

@@ -33,6 +33,7 @@ class FromFiles(ArticulatedBody):
 
     links: Sequence[Link]
     uncertainty: Mapping[str, float]
+    exact: bool
 
     @classmethod
     def load(cls, path: "str | Path | Any", *, filmed: bool = True, dimensions: int | None = None) -> Self:
@@ -64,7 +65,7 @@ class FromFiles(ArticulatedBody):
                 warnings.warn(f"{path}: taken as a body in space; {words}", stacklevel=2)
                 dimensions = 3
         tables = (body_chain if dimensions == 2 else body_tree).tables(robot, str(path))
-        return cls._of(tables | {"exact": False}, dimensions, path)
+        return cls._of(tables, dimensions, path)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -80,7 +81,7 @@ class FromFiles(ArticulatedBody):
     def _of(cls, tables: dict, dimensions: int, path: str | Path) -> Self:
         try:
             own = tables | {"links": [_link(link) for link in tables["links"]]}
-            exact = own.pop("exact", True)
+            exact = own.pop("exact", False)
             body = cls(**(planar.chained(**own) if dimensions == 2 else own) | {"exact": exact})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
@@ -105,7 +106,8 @@ class FromFiles(ArticulatedBody):
 
         Raises `BodyError` for priors that no file can express (all but log-normal), `OSError` for no place.
         """
-        body_toml.write(path, self.name, self.dimensions, self.gravity, self.links, self.uncertainty)
+        exact = self.exact and not (self.uncertainty or self.has_priors)
+        body_toml.write(path, self.name, self.dimensions, self.gravity, self.links, self.uncertainty, exact)
 
 
 def _link(table: dict) -> Link:

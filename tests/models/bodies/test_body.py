@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from fractions import Fraction
 from importlib.resources import files
 
@@ -46,6 +47,19 @@ def test_a_file_is_read(write):
     assert p.inertia.tolist() == pytest.approx([1.5 * 0.3**2 / 12, 0.004])
     assert p.gravity.tolist() == [0.0, -9.81]
     assert p.base.tolist() == [0.1, 0.2]
+
+
+def test_a_file_may_say_that_it_is_exact(write, tmp_path):
+    text = 'exact = true\n[[links]]\nname="a"\njoint="b"\ntip="c"\nlength=1\nmass=2\n'
+    body = Body.from_toml(write(text))
+    assert body.exact
+    body.to_toml(tmp_path / "again.toml")
+    assert Body.from_toml(tmp_path / "again.toml").exact
+    assert not Body.from_toml(write(text.replace("true", "false"))).exact
+    replace(body, uncertainty={"mass": 0.1}).to_toml(tmp_path / "again.toml")
+    assert "exact" not in (tmp_path / "again.toml").read_text()
+    with pytest.raises(BodyError, match="expected exact = true or false, got 'yes'"):
+        Body.from_toml(write(text.replace("true", '"yes"')))
 
 
 def test_gravity_base_and_name_have_defaults(write):
