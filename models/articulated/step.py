@@ -24,7 +24,6 @@ from invdyn.models.articulated.drive import RowDrive
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.dynamics.integrators import INTEGRATORS
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.composition import Composition, own_values
 from invdyn.models.effects.effect_context import Situation
 from invdyn.models.effects.hidden import HiddenHinge, Motion, Row, tip_motion
@@ -141,7 +140,7 @@ class Mechanics:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """A hidden hinge's angle and rate, q and q̇ one row later."""
         p = own_values(hinge, self.parameters)
-        links, whole = hinge.chain(p, drive.body), planar_dynamics(self.body.num_joints + 1)
+        links, whole = hinge.chain(p, drive.body), hinge.whole(q)
 
         def net(q: Tensor, qd: Tensor, s: float | Tensor) -> tuple[Tensor, Tensor | None]:
             return self.with_friction(*self.smooth(drive, q, qd, s))

@@ -242,8 +242,6 @@ class Body(FromFiles):
 
     def completed(self, numbers: Any) -> Any:
         """The numbers with what sticks leave out following their lengths and masses; a tree's tips show its lengths."""
-        if self.is_chain:
-            return planar.completed(self._left_out(numbers.length.device), numbers)
         return self._sticks.completed(numbers)
 
     def drawn(self, numbers: Any) -> dict[str, Tensor]:
@@ -360,21 +358,9 @@ class Body(FromFiles):
         order = QUANTITIES if self.is_chain else tuple(found)
         return {key: tuple(found[key]) for key in order if key in found}
 
-    def _left_out(self, device: torch.device) -> dict[str, Tensor]:
-        """Of com and inertia which links (K,) leave them out, kept on a device so that no row waits."""
-        if device not in self._left_out_on:
-            left_out = {key: [getattr(link, key) is None for link in self.links] for key in planar.FOLLOWING}
-            missing = {key: torch.tensor(which) for key, which in left_out.items()}
-            self._left_out_on[device] = {key: which.to(device) for key, which in missing.items() if bool(which.any())}
-        return self._left_out_on[device]
-
-    @cached_property
-    def _left_out_on(self) -> dict[torch.device, dict[str, Tensor]]:
-        return {}
-
     @cached_property
     def _sticks(self) -> Sticks:
-        return Sticks(self.links, self.parents, self.keypoint_names)
+        return Sticks(self.links, self.parents, self.keypoint_names, self.is_chain)
 
     @cached_property
     def _shapes(self) -> dict[str, torch.Size]:

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
 from invdyn.models.bodies.inertia import placeholder
@@ -48,15 +47,6 @@ def in_plane(p: TreeParameters) -> BodyParameters:
     """The numbers of a tree that is such a chain."""
     base = p.position[..., 0, :2]
     return BodyParameters(p.sites[..., 0], p.mass, p.com[..., 0], p.inertia[..., 2], p.gravity[..., :2], base)
-
-
-def completed(left_out: Mapping[str, Tensor], p: BodyParameters) -> BodyParameters:
-    """The numbers with com and inertia following length and mass, of links (K,) that have ``left_out`` them."""
-    if "com" in left_out:
-        p = p._replace(com=torch.where(left_out["com"], p.length / 2, p.com))
-    if "inertia" in left_out:
-        p = p._replace(inertia=torch.where(left_out["inertia"], p.mass * p.length**2 / 12, p.inertia))
-    return p
 
 
 def chained(

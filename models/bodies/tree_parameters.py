@@ -111,52 +111,54 @@ def _rows(rows: Sequence[Sequence[Tensor]]) -> Tensor:
 
 
 class Sticks:
-    """Those among a tree's ``links``, by their ``parents`` (−1 the world) and the tree's names of sites."""
+    """Those among a tree's ``links``, by their ``parents`` (−1 the world) and the tree's names of sites.
 
-    def __init__(self, links: Sequence[Link], parents: Sequence[int], sites: Sequence[str]):
+    Of a chain ``in_plane`` numbers are one a link, and its joints' places follow by themselves.
+    """
+
+    def __init__(self, links: Sequence[Link], parents: Sequence[int], sites: Sequence[str], in_plane: bool):
         sticks = [link.length is not None for link in links]
-        on_stick = [parent >= 0 and sticks[parent] for parent in parents]
-        self.any = any(sticks)
-        self.follows = {
+        on_stick = [parent >= 0 and sticks[parent] and not in_plane for parent in parents]
+        self.in_plane = in_plane
+        follows = {
             "com": [stick and link.com is None for stick, link in zip(sticks, links, strict=True)],
             "inertia": [stick and link.inertia is None for stick, link in zip(sticks, links, strict=True)],
             "position": [on and link.origin is None for on, link in zip(on_stick, links, strict=True)],
         }
+        self.follows = {key: rows for key, rows in follows.items() if any(rows)}
         self.places = {
             "tip": [0 if link.tip is None else sites.index(link.tip) for link in links],
             "parent": [max(parent, 0) for parent in parents],
         }
         self._on: dict[torch.device, dict[str, Tensor]] = {}
 
-    def completed(self, numbers: TreeParameters) -> TreeParameters:
-        """The numbers with what sticks leave out following their lengths, which their tips show, and masses."""
-        if not self.any:
+    def completed(self, numbers: Any) -> Any:
+        """The numbers with what sticks leave out following their masses and lengths, which a tree's tips show."""
+        if not self.follows:
             return numbers
         own = self._masks(numbers.mass.device)
-        length = numbers.sites[..., own["tip"], 0]
-        none, rod = torch.zeros_like(length), numbers.mass * length**2 / 12
-        none_of_rod = torch.zeros_like(rod)
-        stretch = length[..., own["parent"]]
-        follows = {
-            "com": [length / 2, none, none],
-            "inertia": [none_of_rod, rod, rod, none_of_rod, none_of_rod, none_of_rod],
-            "position": [stretch, none, none],
-        }
-        return numbers._replace(
-            **{
-                key: torch.where(own[key], torch.stack(each, -1), getattr(numbers, key))
-                for key, each in follows.items()
+        length = numbers.length if self.in_plane else numbers.sites[..., own["tip"], 0]
+        rod = numbers.mass * length**2 / 12
+        values = {"com": length / 2, "inertia": rod}
+        if not self.in_plane:
+            none, none_of_rod = torch.zeros_like(length), torch.zeros_like(rod)
+            rows = {
+                "com": [length / 2, none, none],
+                "inertia": [none_of_rod, rod, rod, none_of_rod, none_of_rod, none_of_rod],
+                "position": [length[..., own["parent"]], none, none],
             }
+            values = {key: torch.stack(rows[key], -1) for key in self.follows}
+        return numbers._replace(
+            **{key: torch.where(own[key], values[key], getattr(numbers, key)) for key in self.follows}
         )
 
     def _masks(self, device: torch.device) -> dict[str, Tensor]:
-        """Which rows of com, inertia and position (L, 1) follow from lengths; links' tips and parents (L,), 0 for none.
+        """Which numbers or rows (L, 1) follow from lengths, by name; links' tips and parents (L,), 0 for none.
 
         Kept once computed, as every row needs them.
         """
         if device not in self._on:
-            self._on[device] = {
-                **{key: torch.tensor(rows, device=device).unsqueeze(-1) for key, rows in self.follows.items()},
-                **{key: torch.tensor(rows, device=device) for key, rows in self.places.items()},
-            }
+            found = {key: torch.tensor(rows, device=device) for key, rows in (self.follows | self.places).items()}
+            rows = {} if self.in_plane else {key: found[key].unsqueeze(-1) for key in self.follows}
+            self._on[device] = found | rows
         return self._on[device]

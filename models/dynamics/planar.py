@@ -5,6 +5,7 @@ lies along x, and of its moments of inertia only that about z enters:
 
     com (c, 0, 0)     inertia zz     position of joint k (length of link k−1, 0, 0)     tip (length, 0, 0)
 
+Left out of programs are a base at the origin and a gravity along −y, where they are so.
 All chains of as many joints share one object, and with it the machine code. Interface, shapes, units: `interface.py`.
 """
 
@@ -12,11 +13,9 @@ from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from invdyn.models.bodies.body import Body
-from invdyn.models.bodies.joints import WORLD, Joint
+from invdyn.models.bodies.body import planar_body
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
@@ -34,12 +33,11 @@ class PlanarDynamics(SpatialDynamics):
     Raises `ValueError` unless `num_joints` is a whole number ≥ 1.
     """
 
-    space = 2
-
     def __init__(self, num_joints: int, compile_after: float = PAYS):
         if isinstance(num_joints, bool) or not isinstance(num_joints, int) or num_joints < 1:
             raise ValueError(f"expected a whole number of joints ≥ 1, got {num_joints!r}")
-        super().__init__(_chain(num_joints), compile_after, rotors=True)
+        unit = [Link(f"link{k}", f"joint{k}", f"tip{k}", length=1.0, mass=1.0) for k in range(num_joints)]
+        super().__init__(planar_body("chain", unit), compile_after, rotors=True)
 
     def __reduce__(self) -> tuple:
         """By its number of joints: programs are traced again, once for all copies that come to a process."""
@@ -52,11 +50,6 @@ class PlanarDynamics(SpatialDynamics):
     def levers(self, p: BodyParameters) -> Tensor:
         """The links' lengths: a link's angle is seen by its ends."""
         return p.length
-
-    def _numbers_of_tree(self) -> BodyParameters:
-        """Of a chain of unit links: the base at the origin and gravity along −y are what programs may leave out."""
-        unit = torch.ones(self.num_joints, dtype=torch.float64)
-        return BodyParameters(unit, unit, unit, unit, unit.new_tensor([0.0, -9.81]), unit.new_zeros(2))
 
     def _entry(self, graph: Graph, known: Mapping[str, np.ndarray]) -> Entry:
         own = super()._entry(graph, known)
@@ -78,15 +71,6 @@ class PlanarDynamics(SpatialDynamics):
             return own("length", link - 1) if field == "position" else own(ALONG[field], link)
 
         return entry
-
-
-def _chain(num_joints: int) -> Body:
-    """A planar chain of unit links as a tree."""
-    links = [
-        Link(f"link{k}", Joint(f"joint{k}"), parent=f"link{k - 1}" if k else WORLD, length=1.0, tip=f"tip{k}", mass=1.0)
-        for k in range(num_joints)
-    ]
-    return Body("chain", links, (0.0, -9.81, 0.0))
 
 
 @cache

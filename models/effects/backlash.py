@@ -21,7 +21,7 @@ become too wide. Δangles = the same of that excess, in place of (1 + e) ψ̇, k
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 
@@ -32,9 +32,8 @@ from torch import Tensor
 from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.integrators import Passage, rk4
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Parameter, Scale, Values
-from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
+from invdyn.models.effects.hidden import Halves, HiddenHinge, Row, substeps_for
 from invdyn.models.shapes import join, joined_by_column
 
 ROTOR_SHARE = 0.5  # of a link's inertia: what a motor's rotor is without an armature in the file
@@ -64,18 +63,11 @@ class Backlash(HiddenHinge):
         """Anywhere in a typical gap, slowly."""
         return 0.01, 0.05 * scale.speed[self.place[0]]
 
-    def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
+    def halves(self, p: Values, length: Tensor, mass: Tensor, com: Tensor, inertia: Tensor) -> Iterable[Halves]:
         """A rotor without length and mass before the link."""
-        j = self.place[0]
-        length, mass, com, inertia = (value[..., j : j + 1] for value in body[:4])
         rotor = torch.where(inertia > 0, ROTOR_SHARE * inertia, 0.01 * mass * com**2)
         none = torch.zeros_like(length)
-        return body._replace(
-            length=split_link(body.length, j, none, length),
-            mass=split_link(body.mass, j, none, mass),
-            com=split_link(body.com, j, none, com),
-            inertia=split_link(body.inertia, j, rotor, inertia - rotor),
-        )
+        return (none, length), (none, mass), (none, com), (rotor, inertia - rotor)
 
     def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The joint's angle is the rotor's and the gap's together."""
@@ -99,7 +91,7 @@ class Backlash(HiddenHinge):
 
     def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.bent`."""
-        arm, dt = _Mechanics(self, row, planar_dynamics(q.shape[-1] + 1), self.chain(p, row.body)), row.dt
+        arm, dt = _Mechanics(self, row, self.whole(q), self.chain(p, row.body)), row.dt
         j, half, parts = self.place[0], p["width"] / 2, substeps_for(dt, PASSAGE_FREQUENCY, row.parts)
         psi, rate = hidden[..., :1].clamp(-half, half), hidden[..., 1:]
         taken = torch.zeros_like(psi)  # sub-steps; what ends one early leaves the rest of it to the next

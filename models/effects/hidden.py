@@ -13,7 +13,7 @@ The other effects act on the K joints; forces on points of the arm (stage ``pull
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -33,6 +33,7 @@ Pull = Callable[[Tensor, Tensor, float | Tensor], Tensor | float]
 
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
+Halves = tuple[Tensor, Tensor]
 Motion = tuple[Tensor, Tensor]
 """Positions of the K tips from the base, m, and their velocities, m/s, (..., K, 2)."""
 
@@ -86,8 +87,20 @@ class HiddenHinge(Hidden):
     states = 2
 
     @abstractmethod
+    def halves(self, p: Values, length: Tensor, mass: Tensor, com: Tensor, inertia: Tensor) -> Iterable[Halves]:
+        """Of the link's four numbers (..., 1) those of the link before the hinge, and of that behind it."""
+
     def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
         """The K + 1 links."""
+        k = self.place[0]
+        pairs = self.halves(p, *(value[..., k : k + 1] for value in body[:4]))
+        split = [join(x[..., :k], *pair, x[..., k + 1 :]) for x, pair in zip(body[:4], pairs, strict=True)]
+        return BodyParameters(*split, *body[4:])
+
+    @staticmethod
+    def whole(q: Tensor) -> Dynamics:
+        """Dynamics of the chain with the hinge, of joints' angles (..., K)."""
+        return planar_dynamics(q.shape[-1] + 1)
 
     @abstractmethod
     def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
@@ -141,8 +154,7 @@ class HiddenHinge(Hidden):
 
     def tips(self, p: Values, q: Tensor, hidden: Tensor, body: BodyParameters) -> Tensor:
         """The K tips, (..., K, 2) m."""
-        whole: Dynamics = planar_dynamics(q.shape[-1] + 1)
-        return self._tracked(whole.keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body)))
+        return self._tracked(self.whole(q).keypoints(self.all_hinges(q, hidden[..., :1]), self.chain(p, body)))
 
     def tip_motion(self, p: Values, q: Tensor, qd: Tensor, hidden: Tensor, body: BodyParameters) -> Motion:
         """What the K tips do; see :func:`tip_motion`."""
@@ -164,11 +176,6 @@ def tip_motion(q: Tensor, qd: Tensor, body: BodyParameters) -> Motion:
     along, up = body.length * phi.cos(), body.length * phi.sin()
     points, velocities = torch.stack([along, up], -1), torch.stack([-up * omega, along * omega], -1)
     return points.cumsum(-2), velocities.cumsum(-2)
-
-
-def split_link(values: Tensor, k: int, inner: Tensor, outer: Tensor) -> Tensor:
-    """(..., K) with link k's entry replaced by two (..., 1)."""
-    return join(values[..., :k], inner, outer, values[..., k + 1 :])
 
 
 def substeps_for(dt: Tensor | float, frequency: float, n: int) -> int:

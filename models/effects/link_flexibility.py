@@ -8,17 +8,15 @@ A spring stiffer than the sub-steps can follow acts as the stiffest that they ca
 """
 
 import math
+from collections.abc import Iterable
 
 import torch
 from pyro.distributions import LogNormal, Uniform
 from torch import Tensor
 
-from invdyn.models.bodies.planar import BodyParameters
 from invdyn.models.dynamics.integrators import rk4
-from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.dynamics.planar import planar_dynamics
 from invdyn.models.effects.base import Parameter, Scale, Values
-from invdyn.models.effects.hidden import HiddenHinge, Row, split_link, substeps_for
+from invdyn.models.effects.hidden import Halves, HiddenHinge, Row, substeps_for
 from invdyn.models.shapes import join, joined_by_column
 
 FREQUENCIES = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0)
@@ -62,20 +60,15 @@ class LinkFlexibility(HiddenHinge):
         reach = start + links.com[k + 1 :]
         return (links.inertia[k + 1 :] + links.mass[k + 1 :] * reach**2).sum().item()
 
-    def chain(self, p: Values, body: BodyParameters) -> BodyParameters:
+    def halves(self, p: Values, length: Tensor, mass: Tensor, com: Tensor, inertia: Tensor) -> Iterable[Halves]:
         """The two parts in place of the link."""
-        k = self.place[0]
-        length, mass, com, inertia = (value[..., k : k + 1] for value in body[:4])
         inner = p.get("position", torch.full_like(length, HALF))
         outer, both = 1 - inner, inner * (1 - inner)
         apart = torch.minimum(length / 2, (0.8 * inertia / mass / both).sqrt())
         rest = (inertia - mass * both * apart**2) / (inner**3 + outer**3)
-        return body._replace(
-            length=split_link(body.length, k, inner * length, outer * length),
-            mass=split_link(body.mass, k, inner * mass, outer * mass),
-            com=split_link(body.com, k, com - outer * apart, com + inner * (apart - length)),
-            inertia=split_link(body.inertia, k, inner**3 * rest, outer**3 * rest),
-        )
+        lengths, masses = (inner * length, outer * length), (inner * mass, outer * mass)
+        coms = com - outer * apart, com + inner * (apart - length)
+        return lengths, masses, coms, (inner**3 * rest, outer**3 * rest)
 
     def all_hinges(self, q: Tensor, hinge: Tensor) -> Tensor:
         """The hinge's angle stands after its link's joint."""
@@ -94,7 +87,7 @@ class LinkFlexibility(HiddenHinge):
     def bent(self, p: Values, row: Row, hidden: Tensor, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """One row; see :meth:`HiddenHinge.bent`."""
         links = self.chain(p, row.body)
-        whole: Dynamics = planar_dynamics(q.shape[-1] + 1)
+        whole = self.whole(q)
         parts = substeps_for(row.dt, FASTEST, row.parts)
         angles = self.all_hinges(q, hidden[..., :1])
         stiffness, damping = self._resolved(p, whole.inertia_matrix(angles, links), row.dt / parts)

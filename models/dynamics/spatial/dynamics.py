@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -63,11 +63,9 @@ class SpatialDynamics(Dynamics):
     Raises `BodyError` for a coordinate that nothing resists, unless `rotors` says that own inertias will be given.
     """
 
-    space: ClassVar[int] = 3
-
     def __init__(self, tree: Body, compile_after: float = PAYS, rotors: bool = False):
-        self.tree, self.num_joints = tree, tree.num_joints
-        self._nominal = self._numbers_of_tree()
+        self.tree, self.num_joints, self.space = tree, tree.num_joints, tree.dimensions
+        self._nominal = tree.parameters()
         self._constants = [_constants(name, value) for name, value in self._nominal._asdict().items()]
         self._patterns: dict[bytes, list[np.ndarray]] = {}
         self._programs: dict[tuple, Program] = {}
@@ -80,10 +78,6 @@ class SpatialDynamics(Dynamics):
     def __reduce__(self) -> tuple:
         """By its tree: programs are traced again, once for all copies in a process."""
         return _restored, (pickle.dumps(self.tree), self._after)
-
-    def _numbers_of_tree(self) -> Any:
-        """Numbers with which the body stands as it is stated."""
-        return self.tree.parameters()
 
     def _entry(self, graph: Graph, known: Mapping[str, np.ndarray]) -> Entry:
         """Scalars of a `TreeParameters` by place: plain ones where they are ``known``, else arguments of a graph."""
