@@ -101,7 +101,7 @@ def row_poses(
     What a row does not tell stays where it was.
     """
     sighted = Sighted(body, observations, observation, numbers, sd)
-    poses, _ = _solved(sighted.rows, sighted.seen, sighted.noise, near, near)
+    poses, _ = explained(sighted.rows, sighted.seen, sighted.noise, near, near)
     return poses, np.isfinite(sighted.rows).all(1)
 
 
@@ -116,7 +116,7 @@ def first_pose(body: Body, rows: np.ndarray, seen: Seen, noise: np.ndarray, enco
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(turns))) * turns
     starts[0] = 0.0
     starts = np.where(np.isfinite(read), read, starts)
-    poses, cost = _solved(row, seen, noise, starts, np.zeros(len(turns)))
+    poses, cost = explained(row, seen, noise, starts, np.zeros(len(turns)))
     poses = np.where(turns & np.isnan(read), (poses + np.pi) % (2 * np.pi) - np.pi, poses)
     equal = poses[cost <= 1.1 * cost.min() + 5.0]
     return min(equal, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
@@ -204,12 +204,19 @@ def _with_slopes(seen: Seen, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[..., 0, :], ((up - down) / (2 * NUDGE)).swapaxes(-1, -2)
 
 
-def _solved(
-    rows: np.ndarray, seen: Seen, noise: np.ndarray, starts: np.ndarray, about: np.ndarray
+def explained(
+    rows: np.ndarray,
+    seen: Seen,
+    noise: np.ndarray,
+    starts: np.ndarray,
+    about: np.ndarray,
+    steps: int = LADDER,
+    least_gain: float = -1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (S, K) that explain a row (O,), or one (S, O) each, by Levenberg and Marquardt from starts; costs (S,).
 
-    What no sensor sees stays within ``PULL_SD`` ``about`` a pose.
+    What no sensor sees stays within ``PULL_SD`` ``about`` a pose. ``starts`` (S, K) and ``noise`` (O,). A search ends
+    after so many ``steps``, or where no start's cost falls by ``least_gain``.
     """
     known = np.isfinite(rows)
     poses, damping = starts.copy(), np.full(len(starts), 1.0)
@@ -220,14 +227,17 @@ def _solved(
     def cost(off: np.ndarray, q: np.ndarray) -> np.ndarray:
         return (off**2).sum(-1) + ((q - about) ** 2).sum(-1) / PULL_SD**2
 
-    for _ in range(LADDER):
+    for _ in range(steps):
         here, slopes = _with_slopes(seen, poses)
         J = np.where(known[..., None], slopes / noise[:, None], 0.0)
         JJ = J.swapaxes(-1, -2) @ J + np.eye(poses.shape[1]) / PULL_SD**2
         widened = JJ + damping[:, None, None] * np.eye(JJ.shape[-1]) * np.trace(JJ, axis1=-2, axis2=-1)[:, None, None]
         pull = (J.swapaxes(-1, -2) @ off(here)[..., None])[..., 0] - (poses - about) / PULL_SD**2
         moved = poses + np.linalg.solve(widened, pull[..., None])[..., 0]
-        better = cost(off(seen(moved)), moved) < cost(off(here), poses)
+        gain = cost(off(here), poses) - cost(off(seen(moved)), moved)
+        better = gain > 0
         poses = np.where(better[:, None], moved, poses)
         damping = np.where(better, damping / 5, damping * 5).clip(1e-12, 1e6)
+        if ((gain < least_gain) & (better | (damping > 1))).all():
+            break
     return poses, cost(off(seen(poses)), poses)

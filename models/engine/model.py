@@ -350,15 +350,16 @@ class EngineModel(StateSpaceModel):
     def initial_paths(self, observations: Tensor) -> Tensor:
         """One path (1, T, D) through the rows' own configurations (:mod:`.inverse_kinematics`), without a drive."""
 
-        def means(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def shown(tangent: np.ndarray) -> Any:
             state = torch.zeros(*tangent.shape[:-1], self.state_dim, dtype=torch.float64)
             state[..., self.torque_size : self.torque_size + self.nv] = torch.as_tensor(tangent)
             emission = self.emission(state, 0)
-            base = getattr(emission, "base_dist", emission)
-            return base.loc.numpy(), np.broadcast_to(base.scale.numpy(), base.loc.shape)
+            return getattr(emission, "base_dist", emission)
 
         rows = observations.detach().cpu().double().numpy()
-        physics = np.concatenate(poses(means, rows, self.time.numpy(), self.nv), -1)
+        noise = shown(np.zeros(self.nv)).scale.expand(rows.shape[-1]).numpy()
+        found = poses(lambda tangent: shown(tangent).loc.numpy(), noise, rows, self.time.numpy(), self.nv)
+        physics = np.concatenate(found, -1)
         path = torch.zeros(1, len(rows), self.state_dim, dtype=torch.float64)
         path[..., self.torque_size :][..., : 2 * self.nv] = torch.as_tensor(physics)
         if self.na:
