@@ -26,12 +26,13 @@ from torch import Tensor
 from invdyn.inference.execution.seeds import seeded
 from invdyn.inference.posterior.arm_contents import sensed, true_values
 from invdyn.inference.posterior.problem import DRAWS, Contents, Variables
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.engine.contacts import contact_forces
 from invdyn.models.engine.drives import turning_dofs
 from invdyn.models.engine.model import EngineModel
 from invdyn.models.engine.reactions import evaluated, joint_reactions
-from invdyn.models.engine.scene import Scene, engine
+from invdyn.models.engine.scene import Scene
 from invdyn.recordings import Recording, Truth
 
 UNTOLD = 0.6

@@ -19,10 +19,11 @@ from invdyn.inference.posterior.initialise import sensor_jitter
 from invdyn.inference.posterior.problem import Contents, StateSpaceProblem
 from invdyn.models import EngineModel, Observation, TorqueProcess
 from invdyn.models.articulated.defaults import Value, WrongValue
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.drives import Controls, Drive, JointTorques, Wrench, is_muscle
-from invdyn.models.engine.scene import Scene, engine
+from invdyn.models.engine.scene import Scene
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.sensor import Sensor

@@ -96,6 +96,29 @@ class Body(FromFiles):
             own = moments(link, nominal(link.mass), None if link.length is None else nominal(link.length))
             check_inertia(tensor(np.array([nominal(x) for x in own])), directions, f"{where}: link '{link.name}'")
 
+    @classmethod
+    def planar(
+        cls,
+        name: str,
+        links: Sequence[Link],
+        gravity: Sequence[float] = (0.0, -9.81),
+        base: Sequence[float] = (0.0, 0.0),
+        uncertainty: Mapping[str, float] | None = None,
+        exact: bool = True,
+    ) -> Self:
+        """Return a chain in the plane: sticks on hinges, from the first joint at `base` (x, y) m outwards.
+
+        `planar_body("arm", [Link("upper_arm", "shoulder", "elbow", length=0.3, mass=1.5), …])`: each link begins where
+        the one before ends. `gravity` (x, y) m/s²; `uncertainty` has relative sds of "length", "mass", "com" and
+        "inertia", and of joints' parts. Raises `BodyError` as `Body` does.
+        """
+        place = (*numbers(base, 2, f"body '{name}': base in m").tolist(), 0.0)
+        chain: list[Link] = []
+        for link in links:
+            where: dict[str, Any] = {"parent": chain[-1].name} if chain else {"origin": place}
+            chain.append(replace(link, **where))
+        return cls(name, chain, gravity, uncertainty or {}, 2, exact)
+
     # -- names and places ------------------------------------------------------------------------
     @property
     def is_chain(self) -> bool:
@@ -370,17 +393,4 @@ class Body(FromFiles):
 load_body = Body.load
 
 
-def planar_body(
-    name: str,
-    links: Sequence[Link],
-    gravity: Sequence[float] = (0.0, -9.81),
-    base: Sequence[float] = (0.0, 0.0),
-    uncertainty: Mapping[str, float] | None = None,
-) -> Body:
-    """Return a chain in the plane: sticks on hinges, from the first joint at `base` (x, y) m outwards.
-
-    `planar_body("arm", [Link("upper_arm", "shoulder", "elbow", length=0.3, mass=1.5), …])`: each link begins where the
-    one before ends. `gravity` (x, y) m/s²; `uncertainty` has relative sds of "length", "mass", "com" and "inertia", and
-    of joints' parts. Raises `BodyError` as `Body` does.
-    """
-    return Body(**planar.chained(name, links, gravity, base, uncertainty or {}))
+planar_body = Body.planar

@@ -30,8 +30,8 @@ def of(root: Element, where: str) -> Robot:
     Raises `BodyError` for what MuJoCo cannot read, files outside the folder, and a missing MuJoCo.
     """
     text, meshes, dropped = one_text(root, where)
-    mujoco = _engine(where)
-    with _own_warnings(mujoco, where):
+    mujoco = engine(where)
+    with own_warnings(mujoco, where):
         try:
             model = mujoco.MjModel.from_xml_string(text, meshes)
         except ValueError as error:
@@ -41,8 +41,8 @@ def of(root: Element, where: str) -> Robot:
 
 def of_compiled(robot: Any, where: str) -> Robot:
     """The parts of a ``mujoco.MjSpec`` or ``MjModel``, which stays as it is. Raises `BodyError` as :func:`of`."""
-    mujoco = _engine(where)
-    with _own_warnings(mujoco, where):
+    mujoco = engine(where)
+    with own_warnings(mujoco, where):
         model = compiled(robot, where)
     delays = np.flatnonzero(getattr(model, "actuator_delay", np.zeros(0)) > 0).tolist()
     plugins = [str(number) for number in range(model.nplugin)]
@@ -54,7 +54,7 @@ def compiled(robot: Any, where: str = "the robot") -> Any:
 
     Raises `BodyError` for what MuJoCo cannot read, and another object.
     """
-    mujoco = _engine(where)
+    mujoco = engine(where)
     if isinstance(robot, mujoco.MjModel):
         return copy.copy(robot)
     if not isinstance(robot, str | Path | mujoco.MjSpec):
@@ -88,17 +88,17 @@ def _robot(mujoco: Any, model: Any, dropped: Mapping[str, Sequence[str]]) -> Rob
     return Robot(parts, np.zeros(3) if weightless else model.opt.gravity.copy(), left_out, joint_parts)
 
 
-def _engine(where: str) -> Any:
-    """The mujoco package; raises `BodyError` where there is none."""
+def engine(where: str) -> Any:
+    """The mujoco package. Raises `BodyError` where there is none."""
     try:
         import mujoco
     except ImportError as error:
-        raise BodyError(f"{where}: MJCF needs `pip install 'invdyn[robots]'`; TOML and URDF do without") from error
+        raise BodyError(f"{where}: it needs `pip install 'invdyn[robots]'`; TOML and URDF do without") from error
     return mujoco
 
 
 @contextmanager
-def _own_warnings(mujoco: Any, where: str) -> Iterator[None]:
+def own_warnings(mujoco: Any, where: str) -> Iterator[None]:
     """MuJoCo's warnings as ours."""
     with kept_warnings(mujoco) as said:
         yield

@@ -14,7 +14,6 @@ from invdyn.models.bodies import (
     body_tree,
     body_urdf,
     body_xml,
-    planar,
 )
 from invdyn.models.bodies.body_toml import LOAD
 from invdyn.models.bodies.inertia import Moment, placeholder_warning
@@ -81,8 +80,8 @@ class FromFiles(ArticulatedBody):
     def _of(cls, tables: dict, dimensions: int, path: str | Path) -> Self:
         try:
             own = tables | {"links": [_link(link) for link in tables["links"]]}
-            exact = own.pop("exact", False)
-            body = cls(**(planar.chained(**own) if dimensions == 2 else own) | {"exact": exact})
+            kind: Any = cls
+            body: Self = (kind.planar if dimensions == 2 else kind)(**{"exact": False, **own})
         except BodyError as error:
             raise BodyError(f"{path}: {error}") from error
         if strange := placeholder_warning(body.largest_moments()):

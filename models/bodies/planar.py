@@ -6,8 +6,7 @@ the centre of mass (default mass·length²/12, a uniform rod). Files: `body_toml
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from torch import Tensor
@@ -16,7 +15,7 @@ from invdyn.models.bodies.inertia import placeholder
 from invdyn.models.bodies.joints import WORLD, Joint
 from invdyn.models.bodies.link import Link
 from invdyn.models.bodies.rotations import UNTURNED
-from invdyn.models.bodies.scalars import QUANTITIES, SMALLEST, BodyError, checked, vector
+from invdyn.models.bodies.scalars import QUANTITIES, SMALLEST, BodyError, checked
 from invdyn.models.bodies.tree_parameters import TreeParameters
 
 MOST_LINKS = 100  # an arm has seven, a snake robot thirty
@@ -47,23 +46,6 @@ def in_plane(p: TreeParameters) -> BodyParameters:
     """The numbers of a tree that is such a chain."""
     base = p.position[..., 0, :2]
     return BodyParameters(p.sites[..., 0], p.mass, p.com[..., 0], p.inertia[..., 2], p.gravity[..., :2], base)
-
-
-def chained(
-    name: str,
-    links: Sequence[Link],
-    gravity: Sequence[float] = (0.0, -9.81),
-    base: Sequence[float] = (0.0, 0.0),
-    uncertainty: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
-    """What a `Body` takes of links that hang one on the other, the first joint at ``base``. Raises `BodyError`."""
-    x, y = vector(base, f"body '{name}': base in m")
-    chain: list[Link] = []
-    for link in links:
-        where: dict[str, Any] = {"parent": chain[-1].name} if chain else {"origin": (x, y, 0.0)}
-        chain.append(replace(link, **where))
-    own = {"name": name, "links": chain, "gravity": vector(gravity, f"body '{name}': gravity in m/s²")}
-    return own | {"uncertainty": uncertainty or {}, "dimensions": 2}
 
 
 def check_chain(links: Sequence[Link], where: str) -> None:

@@ -142,14 +142,6 @@ def number(value: object, what: str) -> float:
     raise BodyError(f"{what}: expected a finite number, got {value!r:.60}")
 
 
-def vector(values: object, what: str) -> tuple[float, float]:
-    """Return (x, y) as floats. Raises `BodyError`, which begins with `what`."""
-    pair = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
-    if len(pair) != 2:
-        raise BodyError(f"{what}: expected two numbers [x, y], got {pair or values!r:.60}")
-    return number(pair[0], what), number(pair[1], what)
-
-
 def check_name(name: object, what: str) -> None:
     """Raise `BodyError` unless `name` is a text of printed characters, not blank, and not long."""
     if not isinstance(name, str) or not name.strip():

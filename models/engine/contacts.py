@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.model import EngineModel
-from invdyn.models.engine.scene import engine, geom_name
+from invdyn.models.engine.scene import geom_name
 from invdyn.models.engine.simulator import Simulator
 
 MAX_PAIRS = 40

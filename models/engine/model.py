@@ -30,11 +30,12 @@ from torch import Tensor
 from invdyn.models.articulated.defaults import Value, WrongValue, shaped
 from invdyn.models.articulated.state import gaussian
 from invdyn.models.articulated.timeline import Timeline
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.engine.drives import Drive, Given, Inputs, JointTorques
 from invdyn.models.engine.inverse_kinematics import poses
 from invdyn.models.engine.readings import EngineView, Readings
-from invdyn.models.engine.scene import Scene, engine
+from invdyn.models.engine.scene import Scene
 from invdyn.models.engine.simulator import Simulator, unique_steps
 from invdyn.models.engine.typical_forces import typical_forces
 from invdyn.models.observation.encoders import Encoders

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.engine.model import EngineModel
-from invdyn.models.engine.scene import engine
 
 
 def joint_reactions(model: EngineModel, paths: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:

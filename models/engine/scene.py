@@ -7,7 +7,6 @@ taken for, a start inside the floor, and a simulation that has no inertia or run
 Shapes: nq entries of qpos, nv degrees of freedom, na activations.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from invdyn.models.bodies.body_mjcf import engine, own_warnings
 from invdyn.models.bodies.body_mjcf_file import one_text
 from invdyn.models.bodies.body_xml import MOST_BYTES, parse
-from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.bodies.scalars import BodyError
 from invdyn.models.bodies.whole_file import read_whole
@@ -80,7 +79,7 @@ class Scene(ArticulatedBody):
         """
         mujoco = engine(where or str(source)[:60])
         where = where or (str(source) if isinstance(source, Path) else "the model")
-        with kept_warnings(mujoco) as said:
+        with own_warnings(mujoco, where):
             try:
                 spec = source if isinstance(source, mujoco.MjSpec) else _read(mujoco, source, where)
                 if spec.plugins:
@@ -102,8 +101,6 @@ class Scene(ArticulatedBody):
                 raise BodyError(f"{where}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
             _check(mujoco, model, where)
             _check_start(mujoco, model, where)
-        for line in dict.fromkeys(said):
-            warnings.warn(f"{where}: MuJoCo: {' '.join(str(line).split())}", UserWarning, stacklevel=2)
         chart = Chart.of(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr)
         up = int(np.argmax(np.abs(model.opt.gravity))) if np.any(model.opt.gravity) else 2
         plane = (0, 1, 2) if dimensions == 3 else (0 if up else 1, up)
@@ -167,15 +164,6 @@ class Scene(ArticulatedBody):
         limits = model.jnt_limited.any() or (model.ntendon and model.tendon_limited.any())
         dry = model.dof_frictionloss.any() or (model.ntendon and model.tendon_frictionloss.any())
         return bool(touching(engine(self.name), model)) or bool(limits or dry)
-
-
-def engine(where: str) -> Any:
-    """The mujoco package. Raises BodyError where there is none."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise BodyError(f"{where}: this needs MuJoCo: pip install 'invdyn[robots]'") from error
-    return mujoco
 
 
 def _read(mujoco: Any, source: "str | Path", where: str) -> Any:

@@ -25,8 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from invdyn.models.bodies.body_mjcf import engine
 from invdyn.models.engine.drives import turning_dofs
-from invdyn.models.engine.scene import Scene, engine
+from invdyn.models.engine.scene import Scene
 
 POSES, ACCELERATION = 20, 5.0
 """The reference and random ones about it; m/s² or rad/s²."""
