@@ -20,7 +20,7 @@ from pyro.distributions import Distribution, Normal
 from torch import Tensor
 
 from invdyn.models.articulated.arm import ArmModel
-from invdyn.models.articulated.defaults import Value, WrongValue, joint_numbers, shaped
+from invdyn.models.articulated.defaults import Value, WrongValue, joint_numbers, of_coordinates, shaped
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.models.articulated.timeline import Row, Timeline
 from invdyn.models.bodies.protocol import ArticulatedBody
@@ -76,18 +76,10 @@ class KinematicModel(StateSpaceModel):
         self.state_dim = order * body.num_joints
         numbers = body.parameters()
         self._numbers = type(numbers)
-
-        def constant(value: float) -> Tensor:
-            return torch.full((body.num_joints,), value, dtype=torch.float64)
-
         super().__init__(
             {
                 **{f"body.{name}": value for name, value in numbers._asdict().items()},
-                "walk.scale": constant(LIVELY if order == 2 else LIVELY / 10),
-                "initial.angle": constant(0.0),
-                "initial.angle_scale": constant(1.0),
-                "initial.velocity": constant(0.0),
-                "initial.velocity_scale": constant(3.0),
+                **of_coordinates(body.num_joints, {"walk.scale": LIVELY if order == 2 else LIVELY / 10}),
                 **self.observation.defaults(self.dynamics.reach(numbers).item()),
             }
         )

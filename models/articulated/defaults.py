@@ -22,22 +22,20 @@ def default_parameters(
 ) -> dict[str, Tensor]:
     """Of a body in its nominal numbers, by dotted name, in float64: rad and rad/s of joints, N·m, m."""
     numbers = body.parameters()
-
-    def constant(value: float) -> Tensor:
-        return torch.full((body.num_joints,), value, dtype=torch.float64)
-
     return {
         **{f"body.{name}": value for name, value in numbers._asdict().items()},
         **joint_numbers(body),
         **torque.defaults(typical_torque(dynamics, numbers)),
-        "noise.angle": constant(1e-3),
-        "noise.velocity": constant(1e-2),
-        "initial.angle": constant(0.0),
-        "initial.angle_scale": constant(1.0),
-        "initial.velocity": constant(0.0),
-        "initial.velocity_scale": constant(3.0),
+        **of_coordinates(body.num_joints, {"noise.angle": 1e-3, "noise.velocity": 1e-2}),
         **observation.defaults(dynamics.reach(numbers).item()),
     }
+
+
+def of_coordinates(count: int, own: Mapping[str, float]) -> dict[str, Tensor]:
+    """A model's ``own`` numbers, by dotted name, and those of its start: for so many coordinates, (count,) each."""
+    start = {"angle": 0.0, "angle_scale": 1.0, "velocity": 0.0, "velocity_scale": 3.0}
+    every = {**own, **{f"initial.{name}": value for name, value in start.items()}}
+    return {name: torch.full((count,), value, dtype=torch.float64) for name, value in every.items()}
 
 
 def joint_numbers(body: ArticulatedBody) -> dict[str, Tensor]:

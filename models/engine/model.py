@@ -27,7 +27,7 @@ import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.articulated.defaults import Value, WrongValue, shaped
+from invdyn.models.articulated.defaults import Value, WrongValue, of_coordinates, shaped
 from invdyn.models.articulated.state import gaussian
 from invdyn.models.articulated.timeline import Timeline
 from invdyn.models.bodies.body_mjcf import engine
@@ -113,27 +113,16 @@ class EngineModel(StateSpaceModel):
         self.parameters = self.replace(**shaped(parameters or {}, self.parameters)).parameters
 
     def _defaults(self) -> dict[str, Tensor]:
-        def constant(value: float, size: int) -> Tensor:
-            return torch.full((size,), value, dtype=torch.float64)
-
         typical = typical_forces(self.scene, self.inputs.pushed(self.scene.model))
         scale = torch.as_tensor(self.inputs.scale(self.scene.model, typical), dtype=torch.float64)
         found = {
             **self.torque.defaults(scale),
-            "noise.angle": constant(1e-4, self.nv),
-            "noise.velocity": constant(1e-2, self.nv),
-            "initial.angle": constant(0.0, self.nv),
-            "initial.angle_scale": constant(1.0, self.nv),
-            "initial.velocity": constant(0.0, self.nv),
-            "initial.velocity_scale": constant(3.0, self.nv),
+            **of_coordinates(self.nv, {"noise.angle": 1e-4, "noise.velocity": 1e-2}),
             **self.observation.defaults(self.scene.reach),
         }
         if self.na:
-            found |= {
-                "noise.activation": constant(1e-3, self.na),
-                "initial.activation": constant(0.2, self.na),
-                "initial.activation_scale": constant(0.3, self.na),
-            }
+            usual = {"noise.activation": 1e-3, "initial.activation": 0.2, "initial.activation_scale": 0.3}
+            found |= {name: torch.full((self.na,), value, dtype=torch.float64) for name, value in usual.items()}
         return found
 
     @property
