@@ -14,7 +14,6 @@ simulated only where a recording is taken for that engine's (:meth:`.ArmModel.in
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import one_hot
 
 from invdyn.models.bodies.joint_parts import JointParts, Motor
 from invdyn.models.bodies.protocol import ArticulatedBody
@@ -48,7 +47,7 @@ class FiledRotor(Filed):
 
     def inertia(self, p: Values, joints: int) -> Tensor:
         """I_a at the joint."""
-        return p["armature"] * one_hot(torch.tensor(self.place[0]), joints).to(p["armature"])
+        return self.at_joints(p["armature"], joints)
 
 
 class FiledFriction(Filed):
@@ -93,14 +92,13 @@ class FiledStep(Filed):
 
     def command(self, p: Values, command: Command) -> Command:
         """U(t + h/2)."""
-        early = torch.zeros(command.mean.shape[-1]).to(command.mean)
-        early[self.place[0]] = self.parts.step / 2
-        return command.delayed(-early)
+        early = command.mean.new_full((1,), self.parts.step / 2)
+        return command.delayed(-self.at_joints(early, command.mean.shape[-1]))
 
     def inertia(self, p: Values, joints: int) -> Tensor:
         """B h/2 at the joint."""
-        here = one_hot(torch.tensor(self.place[0]), joints).to(p["armature"])
-        return self.parts.late * self.parts.step / 2 * here
+        inertia = p["armature"].new_full((1,), self.parts.late * self.parts.step / 2)
+        return self.at_joints(inertia, joints)
 
 
 def engine_steps(body: ArticulatedBody) -> tuple[FiledStep, ...]:

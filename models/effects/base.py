@@ -192,6 +192,11 @@ class Effect(ABC):
         """Of the joints' values (..., K) that of its own joint, (..., 1)."""
         return values[..., self.place[0] : self.place[0] + 1]
 
+    def at_joints(self, value: Tensor, joints: int) -> Tensor:
+        """A value (..., 1) at its own joints, all of them where it has no place, and 0 at the others, (..., K)."""
+        mine = torch.zeros(joints).index_fill(0, torch.tensor(self.place or range(joints)), 1.0)
+        return value * mine.to(value)
+
     @abstractmethod
     def parameters(self, scale: Scale) -> tuple[Parameter, ...]:
         """Priors and units, for a body of this scale; the effect is bound."""

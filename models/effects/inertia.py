@@ -11,7 +11,6 @@ from typing import Any, Self
 import torch
 from pyro.distributions import HalfNormal, Normal, StudentT
 from torch import Tensor
-from torch.nn.functional import one_hot
 
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Scale, Values, change
@@ -32,7 +31,7 @@ class Armature(Effect):
 
     def inertia(self, p: Values, joints: int) -> Tensor:
         """I_a at the joint."""
-        return p["inertia"] * one_hot(torch.tensor(self.place[0]), joints).to(p["inertia"])
+        return self.at_joints(p["inertia"], joints)
 
 
 LOAD_SHARE, MIN_LOAD_SHARE = 0.5, 0.05

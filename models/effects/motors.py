@@ -46,11 +46,6 @@ class Actuator(Effect):
         """Its own joint's of all joints' ``values``, or their mean."""
         return values[self.place[0]] if self.place else sum(values) / len(values)
 
-    def at_joints(self, value: Tensor, joints: int) -> Tensor:
-        """A value (..., 1) at this actuator's joints and 0 at the others, (..., K)."""
-        mine = torch.zeros(joints).index_fill(0, torch.tensor(self.place or range(joints)), 1.0)
-        return value * mine.to(value)
-
     def delay_scale(self, scale: Scale) -> float:
         """A long delay for an arm of this speed, s."""
         return 0.2 / self.of(scale.speed)

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from invdyn.models.inverse_kinematics import Seen, explained
 
-STEPS, LEAST_GAIN = 12, 1e-3  # of a row's search, which begins at the row before, and by which its cost falls
+STEPS, LEAST_GAIN = 20, 1e-6  # of a row's search, which begins at the row before, and by which its cost falls
 STARTS = 12
 """Configurations tried for the first row that shows anything."""
 WINDOW, ORDER = 9, 3  # rows and order of the Savitzky–Golay filter of velocities
