@@ -8,6 +8,9 @@ MuJoCo's dry friction is soft: under a torque below its limit a joint creeps by 
 (MuJoCo documentation, Computation: friction loss, solver parameters). A real gear stands still, so d is a number of the
 file like any other. A link's moments about its centre stay the file's.
 
+A servo's damping is moved into its joint, which MuJoCo's Euler steps implicitly. A servo damps by the velocity before a
+step: of a light joint that shakes the dry friction loose, and a file then plays otherwise at another time step.
+
 The prior is Gaussian in z, about the file's number, or that of a regression where one is given.
 Shapes: N numbers. Units: SI, rad.
 """
@@ -21,7 +24,7 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileChange, with_the_servo
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileChange
 from invdyn.diagnosis.write_back.mjcf import BodyNumbers, body_of, groups, shares_its_mass
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.body_mjcf import compiled
@@ -189,9 +192,10 @@ class FileNumbers:
             if quantity == IMPEDANCE:
                 found += [replace(change, place=self.body.joint_names[k]) for k, _ in self.driven]
             elif quantity == "damping":
-                parts = self.body.joint_parts[self.body.joint_names.index(place)] or NOTHING
-                before, after, low, high = (x - parts.servo_damping for x in (number.filed, change.after, low, high))
-                found += with_the_servo(replace(change, before=before, after=after, interval_90=(low, high)), parts)
+                drag = (self.body.joint_parts[self.body.joint_names.index(place)] or NOTHING).servo_damping
+                found.append(replace(change, before=number.filed - drag))
+                if drag:
+                    found.append(replace(change, quantity=SERVO_DAMPING, before=drag, after=0.0, interval_90=(0.0, 0.0)))
             else:
                 found.append(change)
         return found
