@@ -195,7 +195,9 @@ class FileNumbers:
                 drag = (self.body.joint_parts[self.body.joint_names.index(place)] or NOTHING).servo_damping
                 found.append(replace(change, before=number.filed - drag))
                 if drag:
-                    found.append(replace(change, quantity=SERVO_DAMPING, before=drag, after=0.0, interval_90=(0.0, 0.0)))
+                    found.append(
+                        replace(change, quantity=SERVO_DAMPING, before=drag, after=0.0, interval_90=(0.0, 0.0))
+                    )
             else:
                 found.append(change)
         return found

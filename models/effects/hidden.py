@@ -95,7 +95,7 @@ class HiddenHinge(Hidden):
         k = self.place[0]
         pairs = self.halves(p, *(value[..., k : k + 1] for value in body[:4]))
         split = [join(x[..., :k], *pair, x[..., k + 1 :]) for x, pair in zip(body[:4], pairs, strict=True)]
-        return BodyParameters(*split, *body[4:])
+        return BodyParameters._make([*split, *body[4:]])
 
     @staticmethod
     def whole(q: Tensor) -> Dynamics:
