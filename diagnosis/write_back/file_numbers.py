@@ -179,8 +179,10 @@ class FileNumbers:
 
     def changes(self, z: np.ndarray, draws: np.ndarray) -> tuple[FileChange, ...]:
         """What a file with ``z`` (N,) has otherwise, with central 90 % ranges of ``draws`` (D, N)."""
-        found = self._changes(z, draws)
-        return tuple(each for each in found if abs(each.after - each.before) > FIXED.same_number * abs(each.before))
+        numbers = zip(self.numbers, z, strict=True)
+        same = {n.place for n, own in numbers if n.quantity == "damping" and _is_same(n.value(own), n.filed)}
+        found = (c for c in self._changes(z, draws) if c.place not in same or "damping" not in c.quantity)
+        return tuple(c for c in found if not _is_same(c.after, c.before))
 
     def _changes(self, z: np.ndarray, draws: np.ndarray) -> list[FileChange]:
         """Of every number: of damping in the joint and in its servo, of the impedance at each joint."""
@@ -201,3 +203,7 @@ class FileNumbers:
             else:
                 found.append(change)
         return found
+
+
+def _is_same(after: float, before: float) -> bool:
+    return abs(after - before) <= FIXED.same_number * abs(before)

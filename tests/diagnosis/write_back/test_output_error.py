@@ -1,5 +1,6 @@
 """The output-error fit of an MJCF's numbers: parity with the written file, recovery, seeds, and what is refused."""
 
+import copy
 from pathlib import Path
 
 import mujoco
@@ -56,13 +57,28 @@ def test_numbers_of_the_file_change_nothing(arm):
     assert numbers.changes(numbers.mean, numbers.mean[None]) == ()
 
 
+def test_a_damping_that_changes_is_moved_from_its_servo_into_the_joint(arm):
+    """MuJoCo's Euler steps a joint's own damping implicitly."""
+    numbers = FileNumbers(*arm)
+    z = numbers.mean.copy()
+    z[[n.quantity == "damping" and n.place == "shoulder" for n in numbers.numbers]] += np.log(1.5)
+    drag = numbers.body.joint_parts[0].servo_damping
+    changed = {(each.place, each.quantity): (each.before, each.after) for each in numbers.changes(z, z[None])}
+    whole = changed["shoulder", "damping"][0] + drag
+    assert drag > 0
+    assert changed == {
+        ("shoulder", "damping"): (whole - drag, pytest.approx(1.5 * whole)),
+        ("shoulder", "servo damping"): (drag, 0.0),
+    }
+
+
 def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
     path = tmp_path / "true.xml"
     path.write_text(FILE.format(**TRUE))
     body = Body.load(path)
     numbers = FileNumbers(str(path), body)
     (first, *_) = windows(numbers, log(body, 450, 1))
-    off = Replays(numbers).errors(numbers.mean[None], first)[0]
+    off = Replays(numbers).off([copy.copy(numbers.nominal)], first)[0]
     # what the smoother misses of a first velocity is gone in half a second
     assert (np.sqrt((off[25:] ** 2).mean(0)) < 1.2 * NOISE).all()
 
