@@ -132,7 +132,7 @@ def random_plan(
     # what a joint's motor feels with all other joints free; a piecewise-constant command limits the speed of the loop
     inertia = 1 / np.linalg.inv(made(body).inertia(centre)).diagonal()
     bandwidth = min(2 * np.pi * natural * rng.uniform(1.0, 2.5), 0.3 * command_rate)
-    servos = [] if passive else [parts.servo for parts in body.joint_parts if parts is not None and parts.servo]
+    servos = [] if passive else [parts.servo for parts in body.joint_parts if parts.servo]
     return Plan(
         duration=round(rng.uniform(*habits.seconds), 1),
         frame_rate=frame_rate,

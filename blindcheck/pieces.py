@@ -45,7 +45,7 @@ def pieces_of(body: Body) -> list[Piece]:
     tree, found = body.in_space(), list[Piece]()
     p, sites = tree.parameters(), iter(tree.parameters().sites.numpy())
     for place, (link, parts) in enumerate(zip(tree.links, tree.joint_parts, strict=True)):
-        servo, inertia = None if parts is None else parts.servo, p.inertia[place].numpy()
+        servo, inertia = parts.servo, p.inertia[place].numpy()
         found.append(
             Piece(
                 hinge=f"joint{place}",
@@ -61,7 +61,7 @@ def pieces_of(body: Body) -> list[Piece]:
                 sites={name: next(sites) for name in link.points},
                 actuated=True,
                 servo=None if servo is None else (servo.stiffness, servo.damping),
-                damping=0.0 if parts is None else parts.damping,
+                damping=parts.damping,
             )
         )
     return found

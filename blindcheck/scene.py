@@ -62,7 +62,7 @@ def motor_torque(body: Body, motion: Trajectory) -> np.ndarray:
     """What motors give in a motion, N·m (C, K): their commands, less what servos answer to angles and velocities."""
     torque, each = motion.command, (len(motion.time) - 1) // (len(motion.command) - 1)
     for k, parts in enumerate(body.joint_parts):
-        if parts is not None and (servo := parts.servo) is not None:
+        if (servo := parts.servo) is not None:
             torque = torque.copy()
             torque[:, k] -= servo.stiffness * motion.q[::each, k] + servo.damping * motion.qd[::each, k]
     return torque

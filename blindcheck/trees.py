@@ -237,8 +237,8 @@ def described(body: Body) -> dict:
         "base": [0.0, 0.0, 0.0],
         "upright": bool(np.allclose(np.cross(first, gravity), 0.0)),
         "parents": list(body.parents),
-        "damping": [0.0 if parts is None else parts.damping for parts in body.joint_parts],
-        "servos": any(parts is not None and parts.servo is not None for parts in body.joint_parts),
+        "damping": [parts.damping for parts in body.joint_parts],
+        "servos": any(parts.servo is not None for parts in body.joint_parts),
     }
 
 

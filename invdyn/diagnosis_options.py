@@ -224,7 +224,7 @@ def with_estimated(body: Any, numbers: str) -> Any:
 
     Raises InputError for what is no such list, or no joint of the body has; BodyError for an unknown number.
     """
-    from invdyn.models.bodies.joint_parts import NOTHING, PARTS
+    from invdyn.models.bodies.joint_parts import PARTS
     from invdyn.recordings import InputError
 
     stated = {}
@@ -237,7 +237,7 @@ def with_estimated(body: Any, numbers: str) -> Any:
                 f"--estimate: expected a number behind {name}=, such as {name}=0.5, got {sd!r:.60}"
             ) from None
         part, _, joint = name.partition(".")
-        having = [j for j, p in zip(body.joint_names, body.joint_parts, strict=True) if getattr(p or NOTHING, part, 0)]
+        having = [j for j, p in zip(body.joint_names, body.joint_parts, strict=True) if getattr(p, part, 0)]
         if part in PARTS and not (joint in having if joint in body.joint_names else having):
             where = joint or "any joint"
             raise InputError(

@@ -9,7 +9,6 @@ import numpy as np
 from invdyn.inference.plausible_for_body import slides
 from invdyn.models import Body
 from invdyn.models.articulated.as_filed import servo_torque
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.recordings import InputError, Recording, check_readable
 from invdyn.recordings.errors import about
 from invdyn.recordings.logs import LogMap, recordings_of
@@ -49,7 +48,7 @@ def read_logs(
         return [_in_the_bodys_terms(logged, body, maps).at(frame_range(frames)) for logged in found]
 
     units = (given or LogMap()).units
-    targets = any((own or NOTHING).servo is not None for own in body.joint_parts)
+    targets = any(own.servo is not None for own in body.joint_parts)
     return [
         Reading(recording, units, lambda n=n, **scales: read(**scales)[n], targets, maps)
         for n, recording in enumerate(read())
@@ -80,11 +79,10 @@ def episode_numbers(text: str) -> list[int]:
 
 def _in_the_bodys_terms(logged: Logged, body: Body, maps: Sequence[JointMap] = ()) -> Recording:
     recording, commands = logged.recording, np.full(logged.targets.shape, np.nan)
-    parts = [own or NOTHING for own in body.joint_parts]
-    sign, zero = np.array([own.sign for own in parts]), np.array([own.zero for own in parts])
+    sign, zero = body.file_counting
     if recording.torques is not None:
         commands = sign * recording.torques
-    for k, (joint, own) in enumerate(zip(body.joint_names, parts, strict=True)):
+    for k, (joint, own) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
         target, torque = logged.targets[:, k], maps[k].torque if maps else None
         added = torque is not None and torque.feedforward
         if not np.isfinite(target).any():

@@ -7,7 +7,7 @@ noise does. With the refined precision Λ and the prior's S⁻¹,
     Λ_ζ = ζ (Λ − S⁻¹) + S⁻¹
 """
 
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ import torch
 from invdyn.diagnosis.assessment.result import Change, Estimate, Finding, Learned
 from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.hypotheses.simplex_search import log_sd_prior
-from invdyn.diagnosis.problem.cause import FittedHypothesis
+from invdyn.diagnosis.problem.cause import FittedHypothesis, of_effect
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.problem.noise import is_searched
 from invdyn.diagnosis.problem.unknowns import bounds, unknowns
@@ -51,22 +51,35 @@ def finding(
     described = described_by(entry, effect, draws, problem.model.scale)
     if any(p.located for p in parameters):  # in the recording's times
         described |= {n: (described[n][0] + problem.problem.origin, "s") for n in ("start", "stop") if n in described}
-    estimates = {}
-    narrowed = _narrowed(problem, cause, temper)
-    for name, (values, unit) in described.items():
-        found = estimate(values, unit, narrowed.get(f"{effect.key}.{name}", float("nan")))
-        # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
-        estimates[name] = replace(found, mean=cause.noise.get(f"{effect.key}.{name}", found.mean))
-    changes = {}
+    narrowed = of_effect(effect, _narrowed(problem, cause, temper))
+    # Of what was searched, where the search ended: the mean of wide draws of a logarithm lies far above it.
+    return finding_of(problem, effect, described, of_effect(effect, cause.noise), narrowed, whole)
+
+
+def finding_of(
+    problem: DiagnosisProblem,
+    effect: Effect,
+    described: Mapping[str, tuple[np.ndarray, str]],
+    means: Mapping[str, float],
+    narrowed: Mapping[str, float] = {},
+    others: Mapping[str, np.ndarray] = {},
+) -> Finding:
+    """An effect by draws (N,) of each number that is reported of it, with its unit, and what those add to the file.
+
+    Of some numbers `means` has the mean, and `narrowed` the sd as a share of the prior's. `others` are draws of the
+    cause's unknowns, "body.damping.0": numbers of the file that are uncertain, too.
+    """
+    estimates = {
+        name: estimate(values, unit, narrowed.get(name, float("nan")), means.get(name))
+        for name, (values, unit) in described.items()
+    }
+    changes, entry = {}, problem.catalogue.of(effect)
     for name, quantity in entry.body_file_fields.items():
         if name in estimates and (before := problem.model.scale.filed(quantity, effect.place[0])):
-            e = estimates[name]
-            own = whole.get(f"body.{quantity}.{effect.place[0]}")
-            if own is not None:  # the file's own number is uncertain too
-                changes[name] = Change(before, estimate(own + described[name][0], e.unit, e.narrowed))
-                continue
-            after = estimate(before + e.draws, e.unit, e.narrowed)
-            changes[name] = Change(before, replace(after, mean=before + e.mean))
+            e, own = estimates[name], others.get(f"body.{quantity}.{effect.place[0]}")
+            mean = before + e.mean if own is None else None
+            after = estimate((before if own is None else own) + e.draws, e.unit, e.narrowed, mean)
+            changes[name] = Change(before, after)
     known = CATALOGUE.get(effect.name) is entry
     return Finding(effect.name, side_of(effect), place(effect), estimates, changes, None if known else entry)
 
@@ -91,10 +104,11 @@ def learned(problem: DiagnosisProblem, cause: FittedHypothesis, seed: int, tempe
     return tuple(found)
 
 
-def estimate(values: np.ndarray, unit: str, narrowed: float) -> Estimate:
-    """Of draws (N,)."""
+def estimate(values: np.ndarray, unit: str, narrowed: float, mean: float | None = None) -> Estimate:
+    """Of draws (N,), and their ``mean`` where it is known."""
     low, high = np.quantile(values, [0.05, 0.95])
-    return Estimate(float(values.mean()), float(values.std()), (float(low), float(high)), unit, values, narrowed)
+    mean = float(values.mean() if mean is None else mean)
+    return Estimate(mean, float(values.std()), (float(low), float(high)), unit, values, narrowed)
 
 
 def _narrowed(problem: DiagnosisProblem, cause: FittedHypothesis, temper: float) -> dict[str, float]:

@@ -7,15 +7,15 @@ that were found (:mod:`..regression.as_model`).
 
 import numpy as np
 
-from invdyn.diagnosis.assessment.findings import described_by, place
-from invdyn.diagnosis.assessment.result import Cause, Change, Estimate, Finding
+from invdyn.diagnosis.assessment.findings import described_by, finding_of
+from invdyn.diagnosis.assessment.result import Cause, Finding
 from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.hypotheses.regression_start import Start
 from invdyn.diagnosis.problem.diagnosis_problem import DiagnosisProblem
 from invdyn.diagnosis.regression.as_model import Coefficients, model_on, with_coefficients
 from invdyn.diagnosis.regression.regress import Regression
 from invdyn.models import ArmModel
-from invdyn.models.effects.base import PREFIX, Effect, side_of
+from invdyn.models.effects.base import PREFIX, Effect
 from invdyn.models.effects.inertias import inertia_of
 
 
@@ -60,20 +60,8 @@ def _regressed(coefficients: Coefficients, problem: DiagnosisProblem, nominal: A
 
 
 def _finding(problem: DiagnosisProblem, effect: Effect, mean: Start, draws: list[Start]) -> Finding:
-    entry = problem.catalogue.of(effect)
-    own, whole = [p.name for p in effect.parameters(problem.model.scale)], (mean, *draws)
+    own, whole = [p.name for p in effect.parameters(problem.model.scale)], (mean, *(draws or [mean]))
     values = {name: np.array([each.values[f"{effect.key}.{name}"] for each in whole]) for name in own}
-    described = described_by(entry, effect, values, problem.model.scale)
-    estimates = {name: _estimate(each, unit) for name, (each, unit) in described.items()}
-    changes = {}
-    for name, quantity in entry.body_file_fields.items():
-        if name in described and (before := problem.model.scale.filed(quantity, effect.place[0])):
-            changes[name] = Change(before, _estimate(before + described[name][0], described[name][1]))
-    return Finding(effect.name, side_of(effect), place(effect), estimates, changes, entry)
-
-
-def _estimate(values: np.ndarray, unit: str) -> Estimate:
-    """Of a mean, which comes first, and draws."""
-    draws = values[1:] if len(values) > 1 else values
-    low, high = np.quantile(draws, [0.05, 0.95])
-    return Estimate(float(values[0]), float(draws.std()), (float(low), float(high)), unit, draws)
+    described = described_by(problem.catalogue.of(effect), effect, values, problem.model.scale)
+    means = {name: float(each[0]) for name, (each, _) in described.items()}
+    return finding_of(problem, effect, {name: (each[1:], unit) for name, (each, unit) in described.items()}, means)

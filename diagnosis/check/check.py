@@ -8,7 +8,7 @@ put right before the next is looked for. Base parameters (:mod:`.excitation`) an
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -161,21 +161,20 @@ def check(
     every = [] if passive or unclear else motions(reading, body, rules)
     motion = _motion(every, reading, fit, rules) if every else None
     if motion is not None:
-        found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
+        looked_for = partial(find, fit, encoders=encoders, said=reading.units)
+        found, dropped = looked_for(motion)
         if not found and fit.explain(motion).misfit > rules.check.max_right_misfit:  # under another window, then
             other = min(every, key=lambda each: fit.explain(each).misfit)
-            again, gone = find(fit, other, encoders=encoders, said=reading.units)
+            again, gone = looked_for(other)
             found, dropped, motion = (again, gone, other) if again else (found, dropped, motion)
         late = late_commands(fit, motion, every, *_commands(recording, body), rules)
         if late is not None and found:  # a delay has a number: it must leave less than a sign or an exchange
             righted = reduce(lambda own, each: each.mistake.right(own) or own, found, motion)
             least = fit.explain(righted).misfit / rules.check.equal_misfit
-            late = late if fit.explain(late.right).misfit < least else None
+            late = late if left_by(late.mistake, fit, motion) < least else None
         if late is not None:
-            joints = tuple(body.joint_names[k] for k in late.joints)
-            mistakes.append(Wrong(late.kind, joints, late.words, late.remedy, late.value, late.before, late.after))
-            motion = late.right
-            found, dropped = find(fit, motion, encoders=encoders, said=reading.units)
+            again, dropped = looked_for(late.mistake.right(motion) or motion)
+            found = [late, *again]
         for each in found:
             mistakes.append(_in_words(each.mistake, body.joint_names, each))
             motion = each.mistake.right(motion) or motion
@@ -208,7 +207,7 @@ def check(
 def rows_of(reading: Reading, rules: Rules) -> tuple[list[Wrong], Reading]:
     """Rows that are no readings, in words, and the reading without them."""
     names, (found, righted) = reading.recording.joint_names, wrong_rows(reading, rules)
-    return [Wrong(e.kind, tuple(names[k] for k in e.joints), e.words, e.remedy, e.value) for e in found], righted
+    return [_in_words(each, names) for each in found], righted
 
 
 def _unmoved(recording: Recording, body: ArticulatedBody, passive: bool, unclear: bool = False) -> str:

@@ -13,40 +13,25 @@ Shapes: T rows, R rows of a motion, K joints.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
 
+from invdyn.diagnosis.check.mistakes import Found, Mistake
 from invdyn.diagnosis.check.torque_fit import TorqueFit, share
 from invdyn.diagnosis.check.torque_regression import Motion
 from invdyn.diagnosis.rules import FIXED, Rules
 
 
-@dataclass(frozen=True)
-class LateCommands:
-    """What is wrong with the commands' times: `kind` "delay", "drift" or "rare"; the joints, none for all; a number.
-
-    `value` is the delay, s; the rate, 1; or the rows between two targets. `before` and `after` are what the joints'
-    torques miss of what the motion asks of them. `right` is the motion under the commands as they should be, in the
-    rows that have them.
-    """
-
-    kind: str
-    joints: tuple[int, ...]
-    words: str
-    remedy: str
-    value: float
-    before: float
-    after: float
-    right: Motion
-
-
 def late_commands(
     fit: TorqueFit, motion: Motion, every: Sequence[Motion], time: np.ndarray, commands: np.ndarray, rules: Rules
-) -> LateCommands | None:
+) -> Found | None:
     """What the torques of a ``motion`` say of the times of its ``commands`` (T, K); None of nothing wrong.
 
+    Its kind is "delay", "drift" or "rare", and its number the delay, s, the rate, or the rows between two targets. Put
+    right is the motion under the commands as they should be, in the rows that have them.
     ``every`` has it under each window: that under which wrong commands fit best is seldom the one for right ones.
     """
     limits, own = rules.check, fit.explain(motion)
@@ -60,7 +45,7 @@ def late_commands(
 
     # a servo's torque is sharp in time: all rows are tried of all joints, few of one
     few = _both_ways(limits.delay_growth, step, time, limits.max_shift)
-    sharp = motion.terms is not None and any(motion.terms.by_target)
+    sharp = any(motion.terms.by_target)
     delays = _both_ways(1.0, step, time, limits.max_shift) if sharp else few
     missing = [(k,) for k in range(joints) if joints > 1 and own.by_joint[k] > limits.max_joint_misfit]
     groups: list[tuple[int, ...]] = [(), *missing]
@@ -82,18 +67,18 @@ def late_commands(
             f"the commands come {abs(delay):.3g} s too {'early' if delay > 0 else 'late'} for the angles: two clocks"
         )
         turn = f"{'add' if delay > 0 else 'subtract'} {abs(delay):.3g} s {'to' if delay > 0 else 'from'} its times"
-        found.append(("delay", best[1], words, turn, delay, shifted(time, commands, delay, best[1])))
+        found.append((Mistake("delay", best[1], words, turn, delay), shifted(time, commands, delay, best[1])))
     if (drift := _drift(fit, motion, time, commands, step, rules)) is not None:
         rate, given = drift
         words = f"the commands' clock runs {abs(rate):.2%} {'slow' if rate > 0 else 'fast'} against the angles'"
-        found.append(("drift", (), words, "put both on one clock", rate, given))
+        found.append((Mistake("drift", (), words, "put both on one clock", rate), given))
     rare = between(time, commands)
     if rare is not None:
         words = f"targets or torques are logged in every {rare[0]}th row alone, and were sent more often"
-        found.append(("rare", (), words, "log them at the rate of the controller", float(rare[0]), rare[1]))
-    worth = []
-    for kind, group, words, turn, value, given in found:
-        motions = [(each, each.recommanded(given)) for each in every]
+        found.append((Mistake("rare", (), words, "log them at the rate of the controller", float(rare[0])), rare[1]))
+    worth: list[Found] = []
+    for mistake, given in found:
+        group, motions = mistake.joints, [(each, each.recommanded(given)) for each in every]
         righted, wrong, right = min(
             ((fit.explain(new), old, new) for old, new in motions), key=lambda each: each[0].misfit
         )
@@ -106,7 +91,7 @@ def late_commands(
         if own.misfit <= limits.max_right_misfit and share(taken, righted.required, group) > limits.max_damping_share:
             continue
         before = share(fit.left_by_values(wrong, righted.values), righted.required, group)
-        worth.append(LateCommands(kind, group, words, turn, value, before, after, right))
+        worth.append(Found(replace(mistake, right=partial(lambda right, motion: right, right)), before, after))
     # in what is required of the joints: a weak one, whose torque no remedy explains, has its own unit in the misfit
     most = limits.equal_misfit * min((late.after for late in worth), default=0.0)
     # a delay has one number, and a drift two

@@ -47,7 +47,7 @@ class Mistake:
 
     Attributes:
         kind: "torque sign", "direction", "angle sign", "zero", "degrees", "radians", "percent", "time", "exchanged",
-            "gear", "scale", "gain" or "offset".
+            "gear", "scale", "gain" or "offset"; those of :mod:`.rows` and of :mod:`.command_times`.
         joints: which ones, by number; none for the whole log.
         words: what is wrong, after "at joint …" where there are joints.
         remedy: what to do about it.
@@ -61,7 +61,7 @@ class Mistake:
     words: str
     remedy: str
     value: float
-    right: Callable[[Motion], Motion | None]
+    right: Callable[[Motion], Motion | None] = lambda motion: None
     scales: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -199,7 +199,7 @@ def units(
         if unit == (said.time or "s"):
             continue
         factor = TIMES[unit] / TIMES.get(said.time or "s", 1.0)
-        right, scales = methodcaller("scaled", time=factor), {"time": factor}
+        right, scales = methodcaller("in_time", factor), {"time": factor}
         yield Mistake("time", (), f"the times are in {name}", said.put(unit), factor, right, scales)
 
 
@@ -231,21 +231,18 @@ def left_by(mistake: Mistake, fit: TorqueFit, motion: Motion) -> float:
 
 def known(motion: Motion, encoders: bool, said: Units | None) -> Iterator[Mistake]:
     """All without a number that is looked for."""
-    joints, terms = motion.q.shape[1], motion.terms
-    by_target = (False,) * joints if terms is None else terms.by_target
-    place = None if terms is None or said is None else said.mapping
-    yield from fixed(joints, encoders, by_target)
+    terms, place = motion.terms, None if said is None else said.mapping
+    yield from fixed(motion.q.shape[1], encoders, terms.by_target)
     if encoders:
-        yield from units(said, any(by_target), None if terms is None or place is None else terms.stated)
-    if terms is not None and place is not None:
+        yield from units(said, any(terms.by_target), None if place is None else terms.stated)
+    if place is not None:
         yield from gears(terms, place, motion.rules)
 
 
 def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -> Iterator[tuple[float, Mistake]]:
     """All mistakes with the misfit that is left once each is put right."""
-    joints, terms, rules = motion.q.shape[1], motion.terms, motion.rules.check
+    joints, by_target, rules = motion.q.shape[1], motion.terms.by_target, motion.rules.check
     moving = np.ptp(motion.q, axis=0) > FIXED.negligible
-    by_target = (False,) * joints if terms is None else terms.by_target
 
     def left(mistake: Mistake) -> float:
         return left_by(mistake, fit, motion)
@@ -259,9 +256,8 @@ def _tried(fit: TorqueFit, motion: Motion, encoders: bool, said: Units | None) -
     for k in np.flatnonzero(moving).tolist() if encoders else ():
         if fit.body.joint_names[k] in shifting:  # its zero is in m, and its dynamics no sum of cosines
             continue
-        sign = 1.0 if terms is None else float(terms.sign[k])
         where = "its angles" if said is None or said.mapping is None else f"its zero in {said.mapping}"
-        made = partial(zero, int(k), sign=sign, where=where)
+        made = partial(zero, int(k), sign=float(motion.terms.sign[k]), where=where)
         at = fit.recounted(motion, k)
         by_zero = partial(_misfit_at, at)
         yield from _searched(made, by_zero, np.array(rules.zero_grid), math.radians(30), rules.min_zero)
@@ -328,12 +324,8 @@ def _scale(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> 
         words = f"the {commands} are {1 / factor:.3g} times too large: in another unit"
         words += ", or before the gear" if by_target else ""
     turn = f"multiply its {'targets' if by_target else 'torques'} by {factor:.3g}"
-
-    def right(motion: Motion) -> Motion:
-        terms = None if motion.terms is None else replace(motion.terms, commands=motion.terms.commands * given)
-        return replace(motion, torque=motion.torque * given, terms=terms)
-
-    return Mistake("scale", group, words, turn, factor, methodcaller("retargeted", given) if by_target else right)
+    right = methodcaller("retargeted" if by_target else "commanded", given)
+    return Mistake("scale", group, words, turn, factor, right)
 
 
 def _gain(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> Mistake:
@@ -349,21 +341,14 @@ def _gain(group: tuple[int, ...], joints: int, by_target: bool, log: float) -> M
 
 def _offset(joint: int, motion: Motion, offset: float) -> Mistake:
     """A constant torque; of a servo, whose log has none, it is one of its target to what the encoder shows."""
-    joints = motion.q.shape[1]
-    constant = np.zeros(joints)
+    constant = np.zeros(motion.q.shape[1])
     constant[joint] = offset
     words = f"the torques are {offset:+.3g} N·m off all along"
     turn = f"subtract {offset:.3g} N·m from its torques"
-    terms = motion.terms
-    if terms is not None and (servo := servos(terms.body, joints)[joint]) is not None:
-        off = terms.sign[joint] * offset / servo.gain
+    if (servo := servos(motion.terms.body)[joint]) is not None:
+        off = motion.terms.sign[joint] * offset / servo.gain
         unit, shown = ("rad", "angles") if servo.kind == "position" else ("rad/s", "velocities")
         words = f"the servo's targets are {off:+.3g} {unit} off against its {shown} all along"
         turn = f"subtract {off:.3g} {unit} from its targets"
         turn += f", or {-off:.3g} rad from its angles" if servo.kind == "position" else ""
-
-    def right(motion: Motion) -> Motion:
-        terms = None if motion.terms is None else replace(motion.terms, commands=motion.terms.commands - constant)
-        return replace(motion, torque=motion.torque - constant, terms=terms)
-
-    return Mistake("offset", (joint,), words, turn, offset, right)
+    return Mistake("offset", (joint,), words, turn, offset, methodcaller("commanded", more=-constant))

@@ -64,8 +64,7 @@ class RobotTerms:
     def of(cls, body: Any, commands: np.ndarray, maps: Sequence[JointMap] | None) -> "RobotTerms":
         """Of ``commands`` (R, K) to a ``body``; ``maps`` of a log that counts joints as the robot's file does."""
         K = commands.shape[1]
-        parts = [own or NOTHING for own in getattr(body, "joint_parts", ())] if maps is not None else []
-        parts = parts or [NOTHING] * K
+        parts = [NOTHING] * K if maps is None else body.joint_parts
         given = list(maps or ()) or [JointMap()] * K
         zero, sign = np.array([own.zero for own in parts]), np.array([own.sign for own in parts])
 
@@ -76,7 +75,7 @@ class RobotTerms:
             origin, gear = np.array([s.origin for s in known]), np.array([s.gear for s in known])
             return Counted(zero + sign * offset, sign * factor, origin, gear, tuple(s.unit for s in known))
 
-        by_angle = np.array([motor is not None and motor.kind == "position" for motor in servos(body, K)])
+        by_angle = np.array([motor is not None and motor.kind == "position" for motor in servos(body)])
         return cls(
             body,
             commands,
@@ -100,7 +99,7 @@ class RobotTerms:
 
     def commanding(self, order: Sequence[int]) -> "RobotTerms | None":
         """The terms with the log's commands in another order; None where one is a target and the other a torque."""
-        motors = servos(self.body, self.commands.shape[1])
+        motors = servos(self.body)
         if any((motors[k] is None) != (motors[j] is None) for k, j in enumerate(order)):
             return None
         targets = np.array([motor is not None for motor in motors])
@@ -111,7 +110,7 @@ class RobotTerms:
     def mirrored(self, joints: Sequence[int]) -> "RobotTerms":
         """The terms with the commands of some joints mirrored about their zeros."""
         own = self._commands()
-        for k, motor in enumerate(servos(self.body, self.commands.shape[1])):
+        for k, motor in enumerate(servos(self.body)):
             if k in joints:
                 own[:, k] = 2 * (self.effort if motor is None else self.target).zero[k] - own[:, k]
         return self._commanded(own)
@@ -121,14 +120,14 @@ class RobotTerms:
 
         A servo that answers with −S θ then makes that of its target less S times the shift.
         """
-        stiffness = np.array([0.0 if motor is None else motor.stiffness for motor in servos(self.body, len(self.sign))])
+        stiffness = np.array([0.0 if motor is None else motor.stiffness for motor in servos(self.body)])
         angle = replace(self.angle, zero=self.angle.zero - shift)
         return replace(self, commands=self.commands - stiffness * shift, angle=angle)
 
     @property
     def by_target(self) -> tuple[bool, ...]:
         """Whether each joint's log has a servo's target, and no torque."""
-        return tuple(motor is not None for motor in servos(self.body, self.commands.shape[1]))
+        return tuple(motor is not None for motor in servos(self.body))
 
     @property
     def stated(self) -> dict[str, set[str | None]]:
@@ -138,11 +137,11 @@ class RobotTerms:
     @property
     def gears(self) -> np.ndarray:
         """How far the file's own actuator of each servo turns for a radian of its joint, (K,): 1 at other joints."""
-        return np.array([1.0 if motor is None else motor.gear for motor in servos(self.body, self.commands.shape[1])])
+        return np.array([1.0 if motor is None else motor.gear for motor in servos(self.body)])
 
     def retargeted(self, factor: float | np.ndarray) -> "RobotTerms":
         """The terms with servos' targets so many times as large, (K,) or one for all, about their zeros."""
-        own, targets = self._commands(), np.array([motor is not None for motor in servos(self.body, len(self.sign))])
+        own, targets = self._commands(), np.array([motor is not None for motor in servos(self.body)])
         return self._commanded(np.where(targets, self.target.zero + factor * (own - self.target.zero), own))
 
     def strengthened(self, factor: np.ndarray) -> "RobotTerms":
@@ -157,27 +156,26 @@ class RobotTerms:
                 bias=by * motor.bias,
             )
 
-        every = zip(servos(self.body, len(factor)), factor.tolist(), strict=True)
+        every = zip(servos(self.body), factor.tolist(), strict=True)
         parts = tuple(NOTHING if motor is None else replace(NOTHING, motor=of(motor, by)) for motor, by in every)
         return replace(self, body=SimpleNamespace(joint_parts=parts), commands=self.commands * factor)
 
     def _commands(self) -> np.ndarray:
         """Torques, and targets in the body's own counting where there are servos, (R, K)."""
         own = np.array(self.commands)
-        for k, motor in enumerate(servos(self.body, own.shape[1])):
+        for k, motor in enumerate(servos(self.body)):
             if motor is not None:
                 own[:, k] = (own[:, k] - motor.bias) / motor.gain
         return own
 
     def _commanded(self, own: np.ndarray) -> "RobotTerms":
         commands = np.array(own)
-        for k, motor in enumerate(servos(self.body, own.shape[1])):
+        for k, motor in enumerate(servos(self.body)):
             if motor is not None:
                 commands[:, k] = servo_torque(motor, own[:, k])
         return replace(self, commands=commands)
 
 
-def servos(body: Any, joints: int) -> list[Motor | None]:
+def servos(body: Any) -> list[Motor | None]:
     """The servo of each joint, None for those that take torques."""
-    parts = getattr(body, "joint_parts", ()) or [None] * joints
-    return [None if own is None else own.servo for own in parts]
+    return [own.servo for own in body.joint_parts]

@@ -12,10 +12,11 @@ Shapes: T rows, K joints.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from invdyn.diagnosis.check.mistakes import Mistake
 from invdyn.diagnosis.rules import DEFAULT, Rules
 from invdyn.recordings import Recording
 from invdyn.recordings.reading import Reading
@@ -24,19 +25,11 @@ MODULI = (math.tau, math.pi, 1.0, 2.0, 100.0, 200.0, 360.0, 180.0, 1024.0, 2048.
 """In which encoders count, in their own numbers."""
 
 
-@dataclass(frozen=True)
-class RowMistake:
-    """What is wrong with some rows: its kind, the joints, what, the remedy, and the constant, modulus or period."""
+def wrong_rows(reading: Reading, rules: Rules = DEFAULT) -> tuple[list[Mistake], Reading]:
+    """What is wrong with the rows of a reading, and the reading without it: outliers and repeats missing, unwrapped.
 
-    kind: str
-    joints: tuple[int, ...]
-    words: str
-    remedy: str
-    value: float
-
-
-def wrong_rows(reading: Reading, rules: Rules = DEFAULT) -> tuple[list[RowMistake], Reading]:
-    """What is wrong with the rows of a reading, and the reading without it: outliers and repeats missing, unwrapped."""
+    The number of a mistake is the constant, the modulus or the period.
+    """
     if reading.recording.angles is None:
         return [], reading
     found, righted = _righted(reading.recording, _factors(reading), rules)
@@ -59,7 +52,7 @@ def _factors(reading: Reading) -> list[float]:
     return [abs(s.factor) if s is not None and s.factor else 1.0 for s in sources] or [1.0] * count
 
 
-def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tuple[list[RowMistake], Recording]:
+def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tuple[list[Mistake], Recording]:
     angles = np.array(recording.angles)
     torques = None if recording.torques is None else np.array(recording.torques)
     found = []
@@ -70,7 +63,7 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
             count = max(int(outliers[k][1].sum()) for k in joints)
             words = f"{count} of {len(angles)} rows have the {what} {constant:.6g}, far from the rows around them"
             turn = "leave these rows out: another publisher's, or no reading"
-            found.append(RowMistake("stray", joints, words, turn, constant))
+            found.append(Mistake("stray", joints, words, turn, constant))
         for k, (_, rows) in outliers.items():
             assert values is not None
             values[rows, k] = np.nan if what == "angles" else values[_before(rows), k][rows]
@@ -79,7 +72,7 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
         joints = tuple(k for k, own in wraps.items() if own == modulus)
         words = f"the angles jump by {modulus:.6g}: they are wrapped"
         turn = f"write wrap = {modulus:.6g} in the line of each angle of the map, or unwrap the column"
-        found.append(RowMistake("wrapped", joints, words, turn, modulus))
+        found.append(Mistake("wrapped", joints, words, turn, modulus))
     for k, modulus in wraps.items():
         seen = np.isfinite(angles[:, k])
         angles[seen, k] = np.unwrap(angles[seen, k], period=modulus * factors[k])
@@ -88,7 +81,7 @@ def _righted(recording: Recording, factors: Sequence[float], rules: Rules) -> tu
         joints = tuple(k for k, p in periods.items() if p == period)
         which = {2: "second", 3: "third"}.get(period, f"{period}th")
         words = f"the angles are new in every {which} row alone, and repeated between"
-        found.append(RowMistake("held", joints, words, "leave the repeats empty", float(period)))
+        found.append(Mistake("held", joints, words, "leave the repeats empty", float(period)))
     for k in periods:
         seen = np.flatnonzero(np.isfinite(angles[:, k]))
         repeats = seen[1:][np.diff(angles[seen, k]) == 0]

@@ -93,10 +93,10 @@ def _shares(reading: Reading, body: ArticulatedBody, all_confirmed: bool, rules:
     turn = _range_for(reading)
     if within == "ends":
         words = "numbers end at ±100: they say how far each joint is in its range, as LeRobot's do"
-        return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+        return Mistake("percent", (), words, turn, math.nan)
     words = "the angles are no radians: LeRobot's −100 to 100 of each joint's range, or degrees"
     turn += ', or, if they are degrees, unit = "deg"'
-    return Mistake("percent", (), words, turn, math.nan, lambda motion: None)
+    return Mistake("percent", (), words, turn, math.nan)
 
 
 def doubted_degrees(reading: Reading, body: ArticulatedBody, misfit: float, rules: Rules = DEFAULT) -> str | None:

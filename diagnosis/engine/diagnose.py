@@ -195,7 +195,7 @@ def _findings(log: EngineLog, cause: Cause, temper: float, seed: int) -> list[Fi
         numbers, parameters, changes = each.effect.numbers, {}, {}
         for number, unit_of in zip(numbers, each.units(log.model.scene.model), strict=True):
             own = draws[:, at]
-            e = replace(estimate(own, unit_of, float(own.std() / cause.unknowns.sd[at])), mean=float(cause.values[at]))
+            e = estimate(own, unit_of, float(own.std() / cause.unknowns.sd[at]), cause.values[at])
             parameters[number.name], changes[number.name] = e, Change(float(cause.unknowns.mean[at]), e)
             at += 1
         where = {each.place.kind: each.place.name}

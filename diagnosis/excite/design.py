@@ -201,9 +201,7 @@ def _design(
     fine = family.at(FIXED.excite_check_rate)
     path = fine.path(of)
     sds = information.sds(information.precision(path, fine.seconds))
-    parts = getattr(body, "joint_parts", ())
-    sign = np.array([1.0 if each is None else each.sign for each in parts] or [1.0] * body.num_joints)
-    zero = np.array([0.0 if each is None else each.zero for each in parts] or [0.0] * body.num_joints)
+    sign, zero = body.file_counting
     angle, velocity, acceleration = (each.numpy() for each in path)
     return Excitation(
         tuple(body.joint_names),

@@ -26,7 +26,7 @@ import numpy as np
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import Body
 from invdyn.models.bodies.body_xml import is_xml
-from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import InputError
 from invdyn.recordings.budget import read_toml
 
@@ -68,7 +68,6 @@ def motion_limits(
     Raises InputError for a joint without a range, an unknown name, a range that is empty, a motor that pushes one way
     alone, and what is no number.
     """
-    parts = [each or NOTHING for each in getattr(body, "joint_parts", ())] or [NOTHING] * body.num_joints
     own = _of_file(robot) if robot is not None else {}
     tables = {} if table is None else dict(read_toml(table, "limits"))
     axes = tables.pop("space", {})
@@ -76,7 +75,7 @@ def motion_limits(
     if strange := [name for name in tables if name not in body.joint_names]:
         raise InputError(f"{table}: unknown joint {strange[0]!r}: expected one of {', '.join(body.joint_names)}")
     rows, assumed = [], []
-    for name, part in zip(body.joint_names, parts, strict=True):
+    for name, part in zip(body.joint_names, body.joint_parts, strict=True):
         given = shared | _checked(tables.get(name, {}), f"{table}: [{name}]")
         row = _of_joint(own.get(name, {}), given, part)
         if row["position"] is None and joints and name not in joints:

@@ -154,8 +154,7 @@ def considered(problem: DiagnosisProblem, without: Sequence[str] = ()) -> list[E
     body = problem.model.body
     observation, commanded = problem.model.observation, problem.regime.commanded
     tracked = list(observation.tracked_names)
-    parts = getattr(body, "joint_parts", ())
-    servos = {k for k, own in enumerate(parts) if own is not None and own.servo is not None}
+    servos = {k for k, own in enumerate(body.joint_parts) if own.servo is not None}
     # a servo follows an encoder that no log may have
     read = {"any": True, "keypoints": bool(tracked), "encoders": observation.encoders is not None or bool(servos)}
     confident = bool(observation.data())

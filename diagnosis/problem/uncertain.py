@@ -11,7 +11,7 @@ from pyro.distributions import Distribution
 
 from invdyn.models import ArticulatedBody, Body
 from invdyn.models.bodies.inertia import NAMES
-from invdyn.models.bodies.joint_parts import NOTHING, PARTS
+from invdyn.models.bodies.joint_parts import PARTS
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.bodies.scalars import UNITS
 
@@ -90,7 +90,7 @@ def _of_joints(body: Body) -> list[Uncertain]:
     found = []
     for k, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
         for part, unit in PARTS.items():
-            value = getattr(parts or NOTHING, part)
+            value = getattr(parts, part)
             sd = value * body.uncertainty.get(f"{part}.{joint}", body.uncertainty.get(part, 0.0))
             if sd > 0:
                 found.append(Uncertain(part, k, value, sd, joint, part, unit))

@@ -51,7 +51,6 @@ from invdyn.diagnosis.regression.regressors import (
 )
 from invdyn.diagnosis.regression.shaped_effects import Along, Shape, Shaped, lowest, sizes_of
 from invdyn.diagnosis.rules import FIXED, Rules
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.dynamics.interface import Dynamics
 
 
@@ -205,7 +204,6 @@ def linear_effects(
     joints, factors = body.joint_names, np.broadcast_to(factor, motion.q.shape[1])
     required, number = along.required, along.columns.number
     wanted, drag = motion.demanded / factor - motion.servo_drag, motion.servo_drag
-    parts = getattr(body, "joint_parts", ()) or [None] * len(joints)
     given = limited(body, wanted, motion.within / factor)
     needed, used = (np.sqrt((each**2).mean(0)) for each in (required, given + drag))
     whole = np.maximum(needed, used)
@@ -217,7 +215,7 @@ def linear_effects(
         moved = column - motion.q[:, k].mean() if name == "stiffness" else column
         found_first = kind == GAIN and factors[k] != 1.0
         size[p] = 1.0 if found_first else unit[k] / max(float(np.sqrt((moved**2).mean())), 1e-12)
-        own = parts[k] or NOTHING
+        own = body.joint_parts[k]
         least[p] = LOWER_BOUNDS.get(kind, -np.inf)
         if kind in FILED and n == 0:
             own_damping = own.servo_damping if kind == DAMPING else 0.0

@@ -20,7 +20,6 @@ from invdyn.diagnosis.regression.wiener_smoother import SmoothedAngles, smooth
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArticulatedBody
 from invdyn.models.articulated.as_filed import answered
-from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.recordings import Recording
 
 
@@ -150,22 +149,17 @@ def _of_stretch(
     drag, within = servo_damping(body) * qd, np.zeros((len(q), 1, q.shape[1]))
     if not passive:
         demanded = _unlimited(body, command, q, qd) + drag
-        if any(parts is not None and parts.servo is not None and parts.servo.limited for parts in body.joint_parts):
+        if any(parts.servo is not None and parts.servo.limited for parts in body.joint_parts):
             within = _within_rows(time, torque, smoothed, body)
         given = limited(body, demanded - drag, within)
     sd = np.sqrt(np.maximum(np.einsum("tkii->tki", smoothed.covariance), 0.0))
-    answer = np.array([_answer_of(parts) for parts in body.joint_parts])
+    servos = [parts.servo for parts in body.joint_parts]
+    answer = np.array([(0.0, 0.0) if servo is None else (servo.stiffness, servo.damping) for servo in servos])
     noise = np.einsum("ki,tkij,kj->tk", answer, smoothed.covariance[..., :2, :2], answer)
     where = np.full(len(q), number)
     return MeasuredMotion(
         smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, demanded, within, drag, np.sqrt(noise), command, where
     )
-
-
-def _answer_of(parts: JointParts | None) -> tuple[float, float]:
-    """A servo's torque by angle and velocity, N·m/rad and N·m·s/rad."""
-    servo = None if parts is None else parts.servo
-    return (0.0, 0.0) if servo is None else (servo.stiffness, servo.damping)
 
 
 def _unlimited(body: ArticulatedBody, *state: np.ndarray) -> np.ndarray:
@@ -190,16 +184,14 @@ def limited(body: ArticulatedBody, demanded: np.ndarray, within: np.ndarray) -> 
 
     Of other joints all of it.
     """
-    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
-    servos = [None if parts is None else parts.servo for parts in every]
+    servos = [parts.servo for parts in body.joint_parts]
     bounds = [(-np.inf, np.inf) if servo is None else (servo.low, servo.high) for servo in servos]
     return np.asarray((demanded[:, None] + within).clip(*np.transpose(bounds)).mean(1))
 
 
 def servo_damping(body: ArticulatedBody) -> np.ndarray:
     """D (K,) N·m·s/rad of position servos, 0 elsewhere."""
-    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
-    return np.array([0.0 if own is None else own.servo_damping for own in every])
+    return np.array([own.servo_damping for own in body.joint_parts])
 
 
 def hold_mean(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

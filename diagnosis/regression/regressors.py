@@ -17,7 +17,6 @@ from torch import Tensor
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.inertia import NAMES
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
@@ -92,10 +91,8 @@ def filed_torques(body: Any, q: Any, qd: Any, qdd: Any, sign: Any) -> list[Any]:
 
     Angles, velocities, accelerations and the velocities' ``sign``, (R, K) each, are arrays or tensors.
     """
-    every = getattr(body, "joint_parts", ()) or [None] * q.shape[-1]
     found = []
-    for k, parts in enumerate(every):
-        own = parts or NOTHING
+    for k, own in enumerate(body.joint_parts):
         column = own.damping * qd[..., k] + own.friction * sign[..., k] + own.armature * qdd[..., k]
         found.append(column + own.stiffness * (q[..., k] - own.rest))
     return found

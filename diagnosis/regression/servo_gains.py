@@ -44,10 +44,10 @@ class ServoGains:
 
 def servo_gains(motion: MeasuredMotion, required: np.ndarray, body: Any) -> ServoGains:
     """Gains of a body's position servos, from what its file asks of all joints, ``required`` (R, K)."""
-    every = getattr(body, "joint_parts", ()) or [None] * body.num_joints
+    every = body.joint_parts
     factor, unknown = np.ones(len(every)), np.zeros(len(every), bool)
     for k, parts in enumerate(every):
-        if parts is None or (servo := parts.servo) is None or servo.kind != "position":
+        if (servo := parts.servo) is None or servo.kind != "position":
             continue
         limits, qd, demanded = (servo.low, servo.high), motion.qd[:, k], motion.demanded[:, k]
         X = np.stack([required[:, k], qd, np.sign(qd), motion.qdd[:, k], np.ones(len(qd))], -1)

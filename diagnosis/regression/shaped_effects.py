@@ -93,7 +93,6 @@ def shaped_effects(
     body: Any, motion: MeasuredMotion, passive: bool, without: Collection[str] = ()
 ) -> tuple[Shaped, ...]:
     """Effects of the catalogue at joints, pairs of them and stops, whose torque a motion and one shape tell."""
-    parts = getattr(body, "joint_parts", ()) or [None] * body.num_joints
     scale = scale_of(body, motion)
     found = []
     for entry, effect in CATALOGUE.without([*JOINT_KINDS, INERTIAL, *without]).everywhere(body, []):
@@ -104,8 +103,7 @@ def shaped_effects(
             or effect.form
         ):
             continue
-        own = parts[effect.place[0]]
-        servo, needs = own is not None and own.servo is not None, entry.need_of(effect)
+        servo, needs = body.joint_parts[effect.place[0]].servo is not None, entry.need_of(effect)
         if {*stages_of(effect)} - KNOWN or (needs and passive) or (needs == "torque" and servo):
             continue
         every = effect.parameters(scale)
@@ -121,8 +119,7 @@ def scale_of(body: Any, motion: MeasuredMotion) -> Scale:
     speed = torch.as_tensor(np.sqrt((motion.qd**2).mean(0)))
     seen = torch.as_tensor(np.stack([motion.q.min(0), motion.q.max(0)], -1))
     time, command = torch.as_tensor(motion.time), torch.as_tensor(motion.torque)
-    parts = getattr(body, "joint_parts", ())
-    return Scale(dynamics_for(body), body.parameters(), time, command, speed, seen, parts)
+    return Scale(dynamics_for(body), body.parameters(), time, command, speed, seen, body.joint_parts)
 
 
 def lowest(parameter: Parameter) -> float:

@@ -12,7 +12,7 @@ import torch
 
 from invdyn.diagnosis.assessment.result import Cause, Estimate, Finding, Learned
 from invdyn.models import ArticulatedBody
-from invdyn.models.bodies.joint_parts import NOTHING, PARTS, JointParts
+from invdyn.models.bodies.joint_parts import PARTS, JointParts
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects.base import rotated
 from invdyn.models.effects.disturbances import turned
@@ -140,7 +140,7 @@ def _later(change: FileChange, shift: float, sd: float) -> FileChange:
 
 
 def _joint(body: ArticulatedBody, name: str) -> JointParts:
-    return body.joint_parts[body.joint_names.index(name)] or NOTHING
+    return body.joint_parts[body.joint_names.index(name)]
 
 
 def _raised(finding: Finding, place: str, quantity: str, name: str, before: float) -> FileChange:

@@ -17,7 +17,6 @@ from invdyn.diagnosis.rules import FIXED
 from invdyn.diagnosis.write_back.file_numbers import FileNumbers
 from invdyn.diagnosis.write_back.rollout import commands, smoothed_states
 from invdyn.models import ArticulatedBody
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import joint_names, kept_warnings
 from invdyn.recordings import Recording
 
@@ -46,7 +45,7 @@ class Window:
 
 def seconds(body: ArticulatedBody) -> float:
     """How long a window is: servos hold an arm near its path; without them it runs from it."""
-    driven = [parts for parts in body.joint_parts if parts is not None and parts.motor is not None]
+    driven = [parts for parts in body.joint_parts if parts.motor is not None]
     return FIXED.refine_window if all(each.servo is not None for each in driven) else FIXED.replay_window
 
 
@@ -59,8 +58,7 @@ def windows(numbers: FileNumbers, recording: Recording) -> list[Window]:
     if recording.angles is None or set(body.joint_names) - set(recording.joint_names):
         return []
     order = [recording.joint_names.index(name) for name in body.joint_names]
-    own = [parts or NOTHING for parts in body.joint_parts]
-    sign, zero = (np.array([getattr(each, key) for each in own]) for key in ("sign", "zero"))
+    sign, zero = body.file_counting
     angle = sign * (recording.angles[:, order] - zero)
     if np.isfinite(angle).all(1).sum() < FIXED.min_replay_rows:
         return []

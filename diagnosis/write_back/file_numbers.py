@@ -28,7 +28,6 @@ from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileCh
 from invdyn.diagnosis.write_back.mjcf import BodyNumbers, body_of, groups, shares_its_mass
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.body_mjcf import compiled
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.models.effects.inertias import inertia_of
@@ -87,7 +86,7 @@ class FileNumbers:
         self.driven = [  # joints (k, number in the model) that have one motor, of their own
             (k, number)
             for k, (number, parts) in enumerate(zip(numbers, body.joint_parts, strict=True))
-            if parts is not None and parts.motor and len(actuators_of(mujoco, self.nominal, number)) == 1
+            if parts.motor and len(actuators_of(mujoco, self.nominal, number)) == 1
         ]
         self._of_body = BodyNumbers(self.nominal, body)
         self.numbers = (*self._of_joints(after), *self._of_links(after))
@@ -129,7 +128,7 @@ class FileNumbers:
         typical = typical_torque(dynamics, own).tolist()
         inertia = dynamics.typical_inertia(own).tolist()
         for k, _ in self.driven:
-            name, parts = self.body.joint_names[k], self.body.joint_parts[k] or NOTHING
+            name, parts = self.body.joint_names[k], self.body.joint_parts[k]
             drag = parts.servo_damping
             damping = after.get((name, "damping"), parts.damping) + after.get((name, SERVO_DAMPING), drag)
             friction = after.get((name, "friction"), parts.friction)
@@ -194,7 +193,7 @@ class FileNumbers:
             if quantity == IMPEDANCE:
                 found += [replace(change, place=self.body.joint_names[k]) for k, _ in self.driven]
             elif quantity == "damping":
-                drag = (self.body.joint_parts[self.body.joint_names.index(place)] or NOTHING).servo_damping
+                drag = self.body.joint_parts[self.body.joint_names.index(place)].servo_damping
                 found.append(replace(change, before=number.filed - drag))
                 if drag:
                     found.append(

@@ -27,7 +27,7 @@ from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, SERVO_DAMPIN
 from invdyn.diagnosis.write_back.mjcf_writer import INCLUDED, Writer
 from invdyn.diagnosis.write_back.xml_text import XmlText
 from invdyn.models import ArticulatedBody
-from invdyn.models.bodies.joint_parts import NOTHING, JointParts
+from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.effects.inertias import point_of
@@ -187,7 +187,7 @@ class BodyNumbers:
         return number, self._in_body(number, link, point_of(self.body.parameters(), link, site).numpy())
 
     def _parts(self, joint: str) -> JointParts:
-        return self.body.joint_parts[self.body.joint_names.index(joint)] or NOTHING
+        return self.body.joint_parts[self.body.joint_names.index(joint)]
 
     def _plane(self, joint: int) -> tuple[int, int]:
         """The file's axes that a planar chain's x and y are, across the axis of one of its hinges."""

@@ -29,7 +29,6 @@ from invdyn.diagnosis.regression.linear_effects import required_by_file
 from invdyn.diagnosis.regression.measured_motion import measured_motion
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.models import ArticulatedBody
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import joint_names
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import InputError, Recording, write_text
@@ -118,9 +117,8 @@ def residual_torque(
     if motion is None:
         raise InputError("expected recordings with the torques or targets of every joint, got none with enough rows")
     missing = required_by_file(dynamics_for(body), body, motion) - motion.torque
-    parts = [each or NOTHING for each in body.joint_parts]
     found, ranges = {}, {}
-    for k, (name, own) in enumerate(zip(body.joint_names, parts, strict=True)):
+    for k, (name, own) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
         q, qd = own.sign * (motion.q[:, k] - own.zero), own.sign * motion.qd[:, k]
         found[name] = _fitted(np.stack([q, qd], -1), own.sign * missing[:, k])
         ranges[name] = (q.min(), q.max(), qd.min(), qd.max())

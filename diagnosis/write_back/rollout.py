@@ -24,7 +24,6 @@ import numpy as np
 from invdyn.diagnosis.regression.wiener_smoother import smooth
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models import ArticulatedBody
-from invdyn.models.bodies.joint_parts import NOTHING
 from invdyn.models.bodies.joint_parts_mjcf import actuators_of, joint_names, kept_warnings
 from invdyn.recordings import InputError, Recording
 
@@ -58,8 +57,8 @@ def commands(model: Any, body: ArticulatedBody, recording: Recording) -> Command
     """A recording's commands in the terms of a ``mujoco.MjModel``; without a motor, a joint's torque is applied."""
     rows = recording.num_frames
     control, applied = np.zeros((rows, model.nu)), np.zeros((rows, model.nv))
-    for joint, given in zip(body.joint_names, body.joint_parts, strict=True):
-        parts, column = given or NOTHING, recording.joint_names.index(joint)
+    for joint, parts in zip(body.joint_names, body.joint_parts, strict=True):
+        column = recording.joint_names.index(joint)
         number = joint_names(model).index(joint)
         own = actuators_of(mujoco, model, number)
         motor = parts.motor
@@ -86,8 +85,7 @@ def rollout(path: str, body: ArticulatedBody, time: np.ndarray, angle: np.ndarra
     Raises InputError where MuJoCo cannot read the file, or too few rows have angles.
     """
     engine = _Engine(path, body, time, given)
-    own = [parts or NOTHING for parts in body.joint_parts]
-    signs, zeros = np.array([parts.sign for parts in own]), np.array([parts.zero for parts in own])
+    signs, zeros = body.file_counting
     seen = signs * (angle - zeros)
     smoothed = smoothed_states(time, seen)
     known = np.isfinite(smoothed.mean).all(1)

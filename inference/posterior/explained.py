@@ -86,8 +86,7 @@ def _too_strong(problem: Problem, torque: np.ndarray) -> list[tuple[float, str]]
     strength = _strength(problem.model) if problem.recording.length_unit == "m" else np.inf
     lines = []
     for name, parts, own in zip(body.joint_names, body.joint_parts, torque.T, strict=True):
-        motor = None if parts is None else parts.motor
-        if motor is not None and motor.limited:
+        if (motor := parts.motor) is not None and motor.limited:
             over = np.maximum(own / motor.high if motor.high > 0 else 0.0, own / motor.low if motor.low < 0 else 0.0)
             limit, whose = PAST_MOTOR, f"its motor gives {motor.low:.3g} to {motor.high:.3g} N·m"
         elif np.isfinite(strength):

@@ -43,7 +43,7 @@ def mechanics(idata: az.InferenceData, body: ArticulatedBody | None = None) -> x
         return tensor(constants[part])
 
     q, qd, tau = (tensor(posterior[name]) for name in ("angle", "velocity", "torque"))
-    parts = [each or NOTHING for each in (() if body is None else body.joint_parts)] or [NOTHING] * q.shape[-1]
+    parts = [NOTHING] * q.shape[-1] if body is None else body.joint_parts
     stiffness, rest, *filed = (
         tau.new_tensor([getattr(each, name) for each in parts])
         for name in ("stiffness", "rest", "friction", "damping", "armature")

@@ -104,7 +104,7 @@ class FiledStep(Filed):
 def engine_steps(body: ArticulatedBody) -> tuple[FiledStep, ...]:
     """What steps of the file's own engine do at each joint; none where it takes none of first order."""
     joints = enumerate(zip(body.joint_names, body.joint_parts, strict=True))
-    return tuple(FiledStep(joint, k, parts) for k, (joint, parts) in joints if parts is not None and parts.step)
+    return tuple(FiledStep(joint, k, parts) for k, (joint, parts) in joints if parts.step)
 
 
 def filed(body: ArticulatedBody, commanded: bool = True) -> tuple[Filed, ...]:
@@ -114,8 +114,6 @@ def filed(body: ArticulatedBody, commanded: bool = True) -> tuple[Filed, ...]:
     """
     found: list[Filed] = []
     for number, (joint, parts) in enumerate(zip(body.joint_names, body.joint_parts, strict=True)):
-        if parts is None:
-            continue
         kinds: list[tuple[type[Filed], object]] = [
             (FiledPassive, parts.damping or parts.stiffness),
             (FiledRotor, parts.armature),
@@ -134,7 +132,7 @@ def answered(body: ArticulatedBody, command: Tensor, q: Tensor, qd: Tensor, limi
     """
     columns = list(command.unbind(-1))
     for k, parts in enumerate(body.joint_parts):
-        if parts is not None and (servo := parts.servo) is not None:
+        if (servo := parts.servo) is not None:
             whole = columns[k] - servo.stiffness * q[..., k] - servo.damping * qd[..., k]
             columns[k] = whole.clamp(servo.low, servo.high) if limited else whole
     return torch.stack(columns, -1)

@@ -40,7 +40,7 @@ def of_coordinates(count: int, own: Mapping[str, float]) -> dict[str, Tensor]:
 
 def joint_numbers(body: ArticulatedBody) -> dict[str, Tensor]:
     """What the body's file gives its joints, "body.damping" (K,) and so on; none of a body that has no such parts."""
-    parts = [each or NOTHING for each in body.joint_parts]
+    parts = body.joint_parts
     if all(each == NOTHING for each in parts):
         return {}
     return {

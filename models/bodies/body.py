@@ -34,7 +34,7 @@ from invdyn.models.bodies import planar
 from invdyn.models.bodies.from_files import FromFiles
 from invdyn.models.bodies.geometry import hand, skeleton, turning
 from invdyn.models.bodies.inertia import NAMES, check_inertia, tensor
-from invdyn.models.bodies.joint_parts import JointParts, relative
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, relative
 from invdyn.models.bodies.joints import WORLD, Motion
 from invdyn.models.bodies.link import Link, ordered
 from invdyn.models.bodies.protocol import kept_as
@@ -147,9 +147,9 @@ class Body(FromFiles):
         return tuple(motion.name for _, motion in self.motions())
 
     @cached_property
-    def joint_parts(self) -> tuple[JointParts | None, ...]:
+    def joint_parts(self) -> tuple[JointParts, ...]:
         """What each of the K coordinates has besides."""
-        return tuple(link.parts for link, _ in self.motions())
+        return tuple(link.parts or NOTHING for link, _ in self.motions())
 
     @cached_property
     def keypoint_names(self) -> tuple[str, ...]:

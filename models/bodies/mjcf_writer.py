@@ -69,7 +69,7 @@ def write_mjcf(body: Body, path: str | Path) -> None:
     left_out = [
         ("priors (written: their means)", body.has_priors or bool(getattr(body, "uncertainty", None))),
         ("learned scalars (written: where they start)", bool(body.learned)),
-        ("limits and servos of motors", any(own is not None and _is_more(own.motor) for own in tree.joint_parts)),
+        ("limits and servos of motors", any(_is_more(own.motor) for own in tree.joint_parts)),
     ]
     if omitted := [words for words, there in left_out if there]:
         warnings.warn(f"{path}: MJCF cannot say {'; nor '.join(omitted)}", UserWarning, stacklevel=2)

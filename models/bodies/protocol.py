@@ -10,11 +10,12 @@ no more than this.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 import torch
 from pyro.distributions import Distribution
 from torch import Tensor
 
-from invdyn.models.bodies.joint_parts import JointParts
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts
 
 AXES = "xyz"
 
@@ -71,9 +72,14 @@ class ArticulatedBody:
         return None
 
     @property
-    def joint_parts(self) -> tuple[JointParts | None, ...]:
-        """What each of the K joints has besides: friction, a rotor, a spring, a motor; None for nothing."""
-        return (None,) * self.num_joints
+    def joint_parts(self) -> tuple[JointParts, ...]:
+        """What each of the K joints has besides: friction, a rotor, a spring, a motor, or nothing."""
+        return (NOTHING,) * self.num_joints
+
+    @property
+    def file_counting(self) -> tuple[np.ndarray, np.ndarray]:
+        """Signs s and zeros z (K,): a joint at q in the file's own counting has the angle z + s q."""
+        return np.array([own.sign for own in self.joint_parts]), np.array([own.zero for own in self.joint_parts])
 
     @property
     def hand(self) -> tuple[int, int] | None:

@@ -59,8 +59,7 @@ class OfServos(Effect):
 
     def _bound(self, body: ArticulatedBody, where: Sequence[str]) -> Self:
         other = super()._bound(body, where)
-        every = enumerate(body.joint_parts)
-        own = {k: parts.servo for k, parts in every if parts is not None and (not other.place or k in other.place)}
+        own = {k: parts.servo for k, parts in enumerate(body.joint_parts) if not other.place or k in other.place}
         other.servos = {k: servo for k, servo in own.items() if servo is not None}
         return other
 

@@ -117,17 +117,15 @@ class Scale:
     command: Tensor | None = None
     motion: Tensor | None = None
     range: Tensor | None = None
-    parts: Sequence[JointParts | None] = ()
+    parts: Sequence[JointParts] = ()
 
     def filed(self, quantity: str, joint: int) -> float:
         """What the simulation's own joint has of a quantity such as "damping"; 0 for nothing."""
-        own = self.parts[joint] if joint < len(self.parts) else None
-        return 0.0 if own is None else float(getattr(own, quantity))
+        return float(getattr(self.parts[joint], quantity)) if joint < len(self.parts) else 0.0
 
     def servo_damping(self, joint: int) -> float:
         """How much a servo of the simulation's own joint damps it, N·m·s/rad."""
-        own = self.parts[joint] if joint < len(self.parts) else None
-        return 0.0 if own is None else own.servo_damping
+        return self.parts[joint].servo_damping if joint < len(self.parts) else 0.0
 
     @cached_property
     def torque(self) -> list[float]:

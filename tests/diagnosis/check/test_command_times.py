@@ -1,9 +1,12 @@
 """Commands at other times: rows whose command the log does not have are unknown, and are left out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from invdyn.diagnosis.check.command_times import shifted
 from invdyn.diagnosis.check.torque_regression import smoothed
+from invdyn.models.bodies.joint_parts import NOTHING
 
 TIME, NONE = np.arange(5.0), np.nan
 COMMANDS = np.stack([10 + TIME, 20 + TIME], -1)
@@ -21,7 +24,7 @@ def test_a_motion_has_no_row_that_an_unknown_command_is_part_of():
     """One that took a missing number for zero would be less than the ramp."""
     time = 0.01 * np.arange(300)
     ramp = np.stack([time, 2 - time], -1)
-    motion = smoothed(time, ramp, ramp, 9)
+    motion = smoothed(SimpleNamespace(joint_parts=[NOTHING] * 2), time, ramp, ramp, 9)
     moved = motion.recommanded(np.where(time[:, None] < 0.5, np.nan, ramp))
     assert 0 < len(motion.q) - len(moved.q) < 60
     assert moved.q[0, 0] > 0.5
