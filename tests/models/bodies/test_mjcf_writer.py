@@ -11,7 +11,7 @@ import torch
 from trees import MuJoCo, mobile_arm, panda, paper_arm, random_state, random_tree
 
 from invdyn.models import Body, BodyError, Joint, Learned, Link, load_body, write_mjcf
-from invdyn.models.bodies.joint_parts import JointParts, Motor
+from invdyn.models.bodies.joint_parts import NOTHING, JointParts, Motor
 from invdyn.models.dynamics.spatial.dynamics import SpatialDynamics
 
 mujoco = pytest.importorskip("mujoco")
@@ -99,7 +99,8 @@ def test_what_a_joint_has_besides_comes_back(tmp_path):
     parts = JointParts(damping=0.3, friction=0.1, armature=0.02, stiffness=2.0, rest=0.4)
     links = panda().links
     write_mjcf(Body("arm", [*links[:3], replace(links[3], parts=parts), *links[4:]]), tmp_path / "arm.xml")
-    assert Body.load(tmp_path / "arm.xml", dimensions=3).joint_parts == (None, None, None, parts, None, None, None)
+    others = (NOTHING,) * 3
+    assert Body.load(tmp_path / "arm.xml", dimensions=3).joint_parts == (*others, parts, *others)
     servo = replace(links[3], parts=JointParts(motor=Motor("position", 40.0, 40.0)))
     with pytest.warns(UserWarning, match="cannot say limits and servos of motors"):
         write_mjcf(Body("arm", [*links[:3], servo, *links[4:]]), tmp_path / "arm.xml")
