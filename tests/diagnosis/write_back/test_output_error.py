@@ -72,6 +72,30 @@ def test_a_damping_that_changes_is_moved_from_its_servo_into_the_joint(arm):
     }
 
 
+LIGHT = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="finger" axis="0 -1 0" damping="0.6"
+frictionloss="0.05" armature="0.03"/><geom type="capsule" fromto="0 0 0 0.05 0 0" size="0.005" mass="0.01"/></body>
+</worldbody><actuator><position name="finger" joint="finger" kp="1000" kv="2.7"/></actuator></mujoco>"""
+
+
+def test_a_light_joint_rests_where_it_sticks_at_any_time_step(tmp_path):
+    """In its servo the same damping shakes it loose at 2 ms, and it creeps to where the servo pulls."""
+    path, rest = tmp_path / "finger.xml", []
+    path.write_text(LIGHT)
+    numbers = FileNumbers(str(path), Body.load(path))
+    found = {"damping": np.log(1.2), "friction": np.log(0.3), "armature": np.log(1e-3), "servo gain": np.log(0.02)}
+    found[IMPEDANCE] = np.log(3e-5)
+    z = np.array([found.get(each.quantity, each.mean) for each in numbers.numbers])
+    for step in (0.0005, 0.002):
+        model = numbers.model(z)
+        model.opt.timestep = step
+        data = mujoco.MjData(model)
+        data.ctrl[0] = 0.1
+        mujoco.mj_step(model, data, round(2 / step))
+        rest.append(data.qpos[0])
+    assert rest[0] == pytest.approx(0.1 - 0.3 / 20, abs=0.005)
+    assert rest[1] == pytest.approx(rest[0], abs=5e-4)
+
+
 def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
     path = tmp_path / "true.xml"
     path.write_text(FILE.format(**TRUE))
@@ -110,7 +134,7 @@ def test_windows_that_no_number_explains_count_little_and_widen_the_ensemble(arm
     path, body = arm
     slewing = refined([log(body, 2450, seed, slew=3.0) for seed in (1, 2)], path, body, (), draws=24, seed=3)
     for joint in ("shoulder", "elbow"):
-        gain, drag = value(slewing, joint, "servo gain"), value(slewing, joint, "servo damping")
+        gain, drag = value(slewing, joint, "servo gain"), value(slewing, joint, "damping")
         assert drag.after / gain.after == pytest.approx(1.1 / TRUE["kp"] * STATED["kp"], rel=0.05)
     assert slewing.coverage >= 0.9
 
