@@ -339,6 +339,7 @@ def test_a_constant_command_shifts_what_remains():
 # -- in space --------------------------------------------------------------------------------------------------
 
 SPATIAL = """name = "spatial arm"
+exact = true
 dimensions = 3
 gravity = [{0}, {1}, 0.0]
 [[links]]
