@@ -29,11 +29,11 @@ demo: $(VENV)/.use
 # One thread a worker: the tests' arrays are small, and threads of several workers only get in each other's way.
 # Who has nothing left takes over from the other: most of the time goes into a few rooms, whose tests come first.
 test: $(VENV)/.development
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # The longer ones: marked "long", or cases that a mark "quick" does not name. `.ci/run` runs them too.
 test-all: $(VENV)/.development
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
+	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
 
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
