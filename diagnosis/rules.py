@@ -436,6 +436,7 @@ class Fixed:
     regression_sizes: tuple[float, ...] = number(
         (0.03, 0.1, 0.3, 1.0), "of the torque needed", "prior sds of an effect in a regression", "chosen"
     )
+    odd_size: float = number(0.3, "of the torque needed", "prior sd of an effect beside all usual ones", "chosen")
     plain_size: float = number(10.0, "of the torque needed", "the same of a plain fit: next to no prior", "chosen")
     sure_probability: float = number(0.9, "1", 'of what a regression names without a "perhaps"', "stated")
     usual_start: float = number(0.1, "prior sd", "of a usual effect that a regression has no size of", "effort")

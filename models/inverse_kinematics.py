@@ -101,7 +101,7 @@ def row_poses(
     What a row does not tell stays where it was.
     """
     sighted = Sighted(body, observations, observation, numbers, sd)
-    poses, _ = explained(sighted.rows, sighted.seen, sighted.noise, near, near)
+    poses, _ = fitted_poses(sighted.rows, sighted.seen, sighted.noise, near, near)
     return poses, np.isfinite(sighted.rows).all(1)
 
 
@@ -116,7 +116,7 @@ def first_pose(body: Body, rows: np.ndarray, seen: Seen, noise: np.ndarray, enco
     starts = np.random.default_rng(0).uniform(-np.pi, np.pi, (STARTS, len(turns))) * turns
     starts[0] = 0.0
     starts = np.where(np.isfinite(read), read, starts)
-    poses, cost = explained(row, seen, noise, starts, np.zeros(len(turns)))
+    poses, cost = fitted_poses(row, seen, noise, starts, np.zeros(len(turns)))
     poses = np.where(turns & np.isnan(read), (poses + np.pi) % (2 * np.pi) - np.pi, poses)
     equal = poses[cost <= 1.1 * cost.min() + 5.0]
     return min(equal, key=lambda pose: (beyond(body, pose), np.abs(pose).sum()))
@@ -204,7 +204,7 @@ def _with_slopes(seen: Seen, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[..., 0, :], ((up - down) / (2 * NUDGE)).swapaxes(-1, -2)
 
 
-def explained(
+def fitted_poses(
     rows: np.ndarray,
     seen: Seen,
     noise: np.ndarray,

@@ -187,11 +187,11 @@ class Choice:
                 yield (*rest, Statement(kind, {place: places[place] for place in some}, size))
 
     def _odd_steps(self, best: Chosen, usual: Sequence[str]) -> Iterator[tuple[Statement, ...]]:
-        """Sets with one effect more at one place, or with another size of those that are ``usual``."""
+        """Sets with one effect more at one place, of one prior sd, or with another prior sd of those ``usual``."""
         for kind, every in self.kinds.items():
             mine = next((s.columns for s in best.statements if s.kind == kind), {})
             odd = [{**mine, place: own} for place, own in every.items() if place not in mine]
-            sizes, sets = (FIXED.regression_sizes, [every]) if kind in usual else (FIXED.regression_sizes[-2:-1], odd)
+            sizes, sets = (FIXED.regression_sizes, [every]) if kind in usual else ([FIXED.odd_size], odd)
             for some, size in product(sets, sizes):
                 yield (*(s for s in best.statements if s.kind != kind), Statement(kind, some, size))
 

@@ -70,8 +70,11 @@ class Shaped:
     def near(self, value: float) -> np.ndarray:
         """A fine grid of the shape about a value, by a factor where it has one sign."""
         grid, step = np.sort(self.grid), np.linspace(-1.0, 1.0, FIXED.shape_grid)
-        wide = 0.0 if grid[0] > 0 else np.interp(value, grid, np.gradient(grid))
-        return np.clip(value + wide * step if wide else value * FIXED.near_shape**step, grid[0], grid[-1])
+        if grid[0] > 0:
+            fine = value * FIXED.near_shape**step
+        else:
+            fine = value + np.interp(value, grid, np.gradient(grid)) * step
+        return np.clip(fine, grid[0], grid[-1])
 
     @property
     def of_command(self) -> bool:

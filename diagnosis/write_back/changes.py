@@ -162,10 +162,10 @@ def _part(finding: Finding, body: ArticulatedBody) -> list[FileChange]:
     joint, fields = finding.where["joint"], finding.entry.body_file_fields if finding.entry else {}
     own = _joint(body, joint)
     raised = [_raised(finding, joint, part, name, getattr(own, part)) for name, part in fields.items()]
-    return [each for change in raised for each in with_the_servo(change, own)]
+    return [each for change in raised for each in _with_the_servo(change, own)]
 
 
-def with_the_servo(change: FileChange, own: JointParts) -> list[FileChange]:
+def _with_the_servo(change: FileChange, own: JointParts) -> list[FileChange]:
     """A joint whose servo damps it too may have less damping than none: the servo then has less."""
     drag, (low, high) = own.servo_damping, change.interval_90
     if change.quantity != "damping" or change.after >= 0 or not drag:

@@ -1,6 +1,6 @@
 """Results as a checkpoint holds them: values as JSON has them without loss, and the arrays in them as tensors.
 
-A value is a number, a text, None, an array or a tensor, or a list, tuple, mapping or dataclass of such values. Arrays
+A value is a number, a text, None, an array or a tensor, or a list, tuple, dataclass or mapping by text of such. Arrays
 and tensors are named by their content: what is there twice is kept once. To read a value runs no code, and makes no
 other objects than those of the dataclasses that the reader names.
 """
@@ -50,16 +50,16 @@ class Plain:
     def of(self, value: Any) -> Any:
         """A value as JSON holds it."""
         if isinstance(value, Tensor | np.ndarray):
-            own = (
-                value.detach().cpu() if isinstance(value, Tensor) else np.ascontiguousarray(value).reshape(value.shape)
-            )
+            is_tensor = isinstance(value, Tensor)
+            # an array of one number would become one of one axis
+            own = value.detach().cpu() if is_tensor else np.ascontiguousarray(value).reshape(value.shape)
             tensor = torch.as_tensor(own)
             name = digest(tensor)
             self.tensors[name] = tensor
-            return {"tensor" if isinstance(value, Tensor) else "array": name}
+            return {"tensor" if is_tensor else "array": name}
         if isinstance(value, list | tuple):
             return {type(value).__name__: [self.of(each) for each in value]}
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
             return {"dict": {key: self.of(each) for key, each in value.items()}}
         if is_dataclass(value) and not isinstance(value, type):
             inner = {each.name: self.of(getattr(value, each.name)) for each in fields(value)}

@@ -110,7 +110,7 @@ def _fingerprint(trials: Sequence[Trial], how: How) -> dict[str, Any]:
     labels = [[*trial.labels.items(), *map(str, trial.events.items()), _names(trial)] for trial in trials]
     return {
         "version": version("invdyn"),
-        "recordings": content_digest([trial.recording for trial in trials]),
+        "recordings": content_digest([trial.recording and replace(trial.recording, name="") for trial in trials]),
         "bodies": content_digest([repr(trial.body) for trial in trials]),
         "trials": content_digest(labels),
         "how": repr(how),

@@ -2,8 +2,8 @@
 
 Kept is what mass, hinges and the named forces of a body depend on; the rest (pictures, height fields, sensors, soft
 bodies' grids, plugins) is dropped before MuJoCo sees it. What MJCF does not have stays, so that MuJoCo says so; numbers
-must be numbers. Includes and meshes are read here, from the file's own folder
-alone, and handed over as bytes. Elements that multiply themselves are refused: MuJoCo can write them out.
+must be numbers. Includes and meshes are read here, from the file's own folder alone, and handed over as bytes.
+Elements that multiply themselves are refused: MuJoCo can write them out.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def one_text(root: Element, path: str, more: Sequence[str] = ()) -> tuple[str, d
             name = each.get("plugin") or each.get("name") or each.get("instance") or "?"
             left_out.setdefault("plugins", []).append(name)
         for name, value in each.attrib.items():
-            if "nan" in value.lower().replace("-", " ").split():
+            if any(word.lstrip("+-").lower() == "nan" for word in value.split()):
                 raise BodyError(f'{path}: expected numbers, got {name}="{value:.60}" of <{each.tag}>')
         if "delay" in each.attrib:
             left_out.setdefault("delays", []).append(each.get("name", each.tag))

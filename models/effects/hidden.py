@@ -34,6 +34,7 @@ Pull = Callable[[Tensor, Tensor, float | Tensor], Tensor | float]
 Torques as of the rigid arm, at the joints alone, are what they are counted from."""
 
 Halves = tuple[Tensor, Tensor]
+"""A number of the link before a hidden hinge, and of that behind it, (..., 1) each."""
 Motion = tuple[Tensor, Tensor]
 """Positions of the K tips from the base, m, and their velocities, m/s, (..., K, 2)."""
 

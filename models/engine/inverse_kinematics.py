@@ -1,6 +1,6 @@
 """Configurations that explain each row by itself: where an engine's paths begin.
 
-Row after row, each from the one before, by the sensors' own means h (:func:`..inverse_kinematics.explained`):
+Row after row, each from the one before, by the sensors' own means h (:func:`..inverse_kinematics.fitted_poses`):
 
     δ_t = argmin Σ_o ((y_o − h_o(δ)) / σ_o)² + |(δ − δ_{t−1}) / s|²
 
@@ -13,7 +13,7 @@ Shapes: rows (T, O), δ (nv,), paths (T, D).
 import numpy as np
 from scipy.signal import savgol_filter
 
-from invdyn.models.inverse_kinematics import Seen, explained
+from invdyn.models.inverse_kinematics import Seen, fitted_poses
 
 STEPS, LEAST_GAIN = 20, 1e-6  # of a row's search, which begins at the row before, and by which its cost falls
 STARTS = 12
@@ -27,11 +27,11 @@ def poses(seen: Seen, noise: np.ndarray, rows: np.ndarray, time: np.ndarray, nv:
     first = int(np.argmax(np.isfinite(rows).any(1)))
     starts = np.random.default_rng(0).uniform(-1.0, 1.0, (STARTS, nv))
     starts[0] = 0
-    found, cost = explained(rows[first], seen, noise, starts, starts, least_gain=LEAST_GAIN)
+    found, cost = fitted_poses(rows[first], seen, noise, starts, starts, least_gain=LEAST_GAIN)
     here = found[cost <= cost.min() + 1.0][:1]  # of equals that which is nearest to the file's own pose
     for t in range(first, len(rows)):
         if np.isfinite(rows[t]).any():
-            here, _ = explained(rows[t], seen, noise, here, here, STEPS, LEAST_GAIN)
+            here, _ = fitted_poses(rows[t], seen, noise, here, here, STEPS, LEAST_GAIN)
         tangent[t] = here[0]
     tangent[:first] = tangent[first]
     window = min(WINDOW, len(rows) - (len(rows) + 1) % 2)

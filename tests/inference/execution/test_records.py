@@ -55,6 +55,8 @@ def test_what_is_there_twice_is_kept_once():
 def test_other_values_and_other_records_are_refused(tmp_path):
     with pytest.raises(TypeError, match="got object"):
         Plain().of([object()])
+    with pytest.raises(TypeError, match="got dict"):  # JSON would make texts of its keys
+        Plain().of({1: 2.0})
     keep(Checkpoint(tmp_path), Inner(np.zeros(1)))
     with pytest.raises(KeyError, match="Inner"):
         kept(Checkpoint(tmp_path), Outer)

@@ -17,7 +17,7 @@ from invdyn.inference.methods.smc import smc
 from invdyn.inference.posterior.cameras import pinhole
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.inference.study.run import run_study
+from invdyn.inference.study.run import _fingerprint, run_study
 from invdyn.inference.study.trial import How, Trial
 from invdyn.models import ArmModel, Body, Joint, Keypoints, Learned, Link, Observation
 from invdyn.models.observation import pinhole as in_torch
@@ -127,6 +127,12 @@ def test_a_clock_that_is_20_ms_ahead_is_found():
     assert found.converged
     assert (sd < 5e-3).all()  # s; what lasts, 2 px, is 6 mm, and the tip moves at 2 m/s
     assert (np.abs(off) < 3 * sd).all()
+
+
+def test_a_study_of_films_knows_its_checkpoint_by_their_pixels_and_cameras():
+    films = [filmed(views_of(ring(3), offsets)) for offsets in ((0.0, 0.0, 0.0), (0.0, 0.02, 0.0))]
+    own, same, other = (_fingerprint([Trial("t", film, rod())], How()) for film in (films[0], films[0], films[1]))
+    assert own == same != other
 
 
 @pytest.mark.long

@@ -304,6 +304,8 @@ def test_what_changes_the_numbers_changes_a_checkpoint_and_bodies_share_nothing(
     for other in ([replace(heavy, name=first.name)], [later], [moved]):
         assert _fingerprint(other, HOW) != own
     assert _fingerprint([first], replace(HOW, seed=1)) != own
+    elsewhere = replace(first, recording=replace(first.recording, name="another/folder.csv"))
+    assert _fingerprint([elsewhere], HOW) == own
     fits = {k: {"values": {}} for k in range(2)}
     assert _groups([first, heavy], fits) == [(0,), (1,)]
     other = {"values": {"torque.scale": torch.ones(3)}}

@@ -249,6 +249,13 @@ def test_defaults_and_their_classes(tmp_path):
     assert fore.com == pytest.approx((rod * 0.15 + 0.25 * 0.3) / fore.mass)
 
 
+def test_a_number_that_is_none_is_refused_and_a_name_like_it_is_not(tmp_path):
+    read(exact().replace('<geom type="capsule"', '<geom name="old-nan" type="capsule"'), tmp_path)
+    for none in ("nan", "-NaN", "1 nan 1"):
+        with pytest.raises(BodyError, match=f'expected numbers, got friction="{none}" of <geom>'):
+            read(exact().replace('<geom type="capsule"', f'<geom friction="{none}" type="capsule"'), tmp_path)
+
+
 def test_warnings_of_mujoco_are_ours_and_leave_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     before = mujoco.get_mju_user_warning()
