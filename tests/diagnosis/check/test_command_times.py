@@ -20,6 +20,15 @@ def test_a_command_that_the_log_does_not_have_is_unknown():
     np.testing.assert_array_equal(one[:, 1], [NONE, 20, 21, 22, 23])
 
 
+def test_times_in_another_unit_are_put_right():
+    body, time = SimpleNamespace(joint_parts=[NOTHING] * 2), 0.01 * np.arange(300)
+    angle = np.stack([np.sin(3 * time), np.cos(2 * time)], -1)
+    own, wrong = (smoothed(body, unit * time, angle, angle, 9) for unit in (1.0, 1024.0))
+    right = wrong.in_time(1 / 1024)
+    for name in ("q", "qd", "qdd"):
+        np.testing.assert_allclose(getattr(right, name), getattr(own, name), rtol=1e-9, atol=1e-9)
+
+
 def test_a_motion_has_no_row_that_an_unknown_command_is_part_of():
     """One that took a missing number for zero would be less than the ramp."""
     time = 0.01 * np.arange(300)

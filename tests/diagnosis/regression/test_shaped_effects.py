@@ -1,18 +1,25 @@
 """Torques of effects with a shape along a motion, and which shape and which effect a regression finds."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from regressed import BODY, found, recorded
 from trees import panda
 
+import invdyn.diagnosis.regression.regress as regress_module
+from invdyn.diagnosis.catalogue.linear_laws import ODD
 from invdyn.diagnosis.regression.columns import Columns
 from invdyn.diagnosis.regression.linear_effects import expected_sign
+from invdyn.diagnosis.regression.low_pass import cutoff_of
 from invdyn.diagnosis.regression.measured_motion import measured_motion
 from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.regressors import inverse
-from invdyn.diagnosis.regression.shape_profile import Context
+from invdyn.diagnosis.regression.shape_profile import Context, _explained
 from invdyn.diagnosis.regression.shaped_effects import Along, shaped_effects, sizes_of
+from invdyn.diagnosis.regression.weighted_fit import weighted_fit
+from invdyn.diagnosis.rules import FIXED
 from invdyn.models import Body, write_mjcf
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.dynamics.registry import dynamics_for
@@ -93,6 +100,19 @@ def test_what_columns_explain_is_what_they_take_from_the_weighted_ridge_sum():
     assert sizes_of(2.0 * Z, np.ones(1)) == pytest.approx(0.5 / np.sqrt((Z**2).mean((1, 2))))
 
 
+def test_a_shape_whose_coefficients_are_below_their_least_explains_nothing(along):
+    """A motor's limit takes torque away, and gives none."""
+    (limit,) = [e for e in shaped_effects(BODY, along.motion, False) if e.key == ("actuator_saturation", "elbow")]
+    rows, joints = along.motion.q.shape
+    column = columns(along, "actuator_saturation", value := 0.5 * np.abs(along.motion.command[:, 1]).max())[0]
+    other = Columns((np.ones((1, rows)), np.zeros((0, rows))), (np.arange(1), np.arange(0)), 1)
+    known = SimpleNamespace(usable=1.0, cutoff=cutoff_of(along.motion), unit=np.ones(joints))
+    for sign, explains in ((1, True), (-1, False)):
+        context = Context(other, np.arange(1), np.ones(1), sign * column, np.ones((rows, joints)))
+        gain, _ = _explained(context, limit, along, known, np.ones(joints), value)
+        assert (gain > 0) is explains
+
+
 @pytest.mark.long
 def test_stribeck_friction_is_named_with_its_speed_and_coulomb_friction_is_not_taken_for_it():
     """Levels and speed are in intervals twice as wide as the 90 % ones."""
@@ -113,10 +133,22 @@ def test_stribeck_friction_is_named_with_its_speed_and_coulomb_friction_is_not_t
 
 
 @pytest.mark.long
-def test_a_spring_between_joints_is_named_beside_friction_at_all_joints():
+def test_a_spring_between_joints_is_named_beside_friction_at_all_joints(monkeypatch):
     arms = np.array([-0.6, 1.0])
     made = recorded(0, lambda m: 0.3 * m.qd + 0.2 * np.sign(m.qd) + 2.0 * (m.q @ arms - 1.0)[:, None] * arms)
+    fits = []
+
+    def fitted(known, motion, rules, plain, *before, **options):
+        fit = weighted_fit(known, motion, rules, plain, *before, **options)
+        fits.append((plain, fit.chosen.statements))
+        return fit
+
+    monkeypatch.setattr(regress_module, "weighted_fit", fitted)
     assert {s.effect: s.sure for s in regress(made, BODY).stated}["joint_coupling"] == ("shoulder.elbow",)
+    alone = {s.kind for plain, statements in fits if plain is None for s in statements}
+    beside = [s for plain, statements in fits if plain is not None and "joint_coupling" in plain for s in statements]
+    assert not alone & {*ODD}, "chosen one by one these imitate what is usual"
+    assert {s.size for s in beside if s.kind in ODD} == {FIXED.odd_size}
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from invdyn.models.articulated.moving_base import MovingBase
 from invdyn.models.bodies.joint_parts import JointParts
 from invdyn.models.effects.inertias import size_of
 from invdyn.recordings import Recording
+from invdyn.summary import summary_text
 
 KNOWN = {"torque.scale": 3.0, "torque.decay": 3.0, "emission.angle_scale": 1e-4}
 SIZES = {"num_filters": 40, "num_draws": 25, "seed": 1, "settings": KNOWN, "method": "laplace"}
@@ -71,6 +72,8 @@ def test_the_bands_hold_what_the_file_leaves_open(file):
     assert not body.exact
     found, exact = infer(of_encoders(), body, **SIZES), infer(of_encoders(), replace(body, exact=True), **SIZES)
     assert "by friction" in found.attrs["body_doubt"]
+    text = summary_text(found)
+    assert 0 <= text.index("torques are net") < text.index("Joint torques"), "what is in doubt comes first"
     np.testing.assert_allclose(band(found, "stated_torque"), band(exact), rtol=1e-12)
     wide, narrow = band(found).var(0)[:-1], band(exact).var(0)[:-1]  # nothing follows the last row, which tells least
     assert (wide > 2 * narrow).all()
