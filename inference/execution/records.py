@@ -50,13 +50,13 @@ class Plain:
     def of(self, value: Any) -> Any:
         """A value as JSON holds it."""
         if isinstance(value, Tensor | np.ndarray):
-            is_tensor = isinstance(value, Tensor)
-            # an array of one number would become one of one axis
-            own = value.detach().cpu() if is_tensor else np.ascontiguousarray(value).reshape(value.shape)
-            tensor = torch.as_tensor(own)
+            if isinstance(value, Tensor):
+                kind, tensor = "tensor", value.detach().cpu()
+            else:  # contiguous, an array of one number would have an axis
+                kind, tensor = "array", torch.as_tensor(np.ascontiguousarray(value).reshape(value.shape))
             name = digest(tensor)
             self.tensors[name] = tensor
-            return {"tensor" if is_tensor else "array": name}
+            return {kind: name}
         if isinstance(value, list | tuple):
             return {type(value).__name__: [self.of(each) for each in value]}
         if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
