@@ -1,8 +1,8 @@
 """Results as a checkpoint holds them: values as JSON has them without loss, and the arrays in them as tensors.
 
-A value is a number, a text, None, an array or a tensor, or a list, tuple, dataclass or mapping by text of such. Arrays
-and tensors are named by their content: what is there twice is kept once. To read a value runs no code, and makes no
-other objects than those of the dataclasses that the reader names.
+A value is a number, a text, None, an array or a tensor, or a list, tuple, dataclass or mapping by text of such. A named
+tuple comes back as a plain one. Arrays and tensors are named by their content: what is there twice is kept once. To
+read a value runs no code, and makes no other objects than those of the dataclasses that the reader names.
 """
 
 import hashlib
@@ -58,7 +58,7 @@ class Plain:
             self.tensors[name] = tensor
             return {kind: name}
         if isinstance(value, list | tuple):
-            return {type(value).__name__: [self.of(each) for each in value]}
+            return {"list" if isinstance(value, list) else "tuple": [self.of(each) for each in value]}
         if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
             return {"dict": {key: self.of(each) for key, each in value.items()}}
         if is_dataclass(value) and not isinstance(value, type):

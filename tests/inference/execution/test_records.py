@@ -1,5 +1,6 @@
 """Results in a checkpoint: what comes back is what was kept, to the bit, and nothing else is made."""
 
+from collections import namedtuple
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,6 +45,11 @@ def test_numbers_of_numpy_become_pythons_and_what_is_none_stays(tmp_path):
     found = kept(Checkpoint(tmp_path))
     assert found == [0.1, True, 3, None, float("inf")]
     assert [type(each) for each in found[:3]] == [float, bool, int]
+
+
+def test_a_named_tuple_comes_back_as_a_plain_one(tmp_path):
+    keep(Checkpoint(tmp_path), namedtuple("Pair", "one two")(1, [2]))
+    assert kept(Checkpoint(tmp_path)) == (1, [2])
 
 
 def test_what_is_there_twice_is_kept_once():
