@@ -15,9 +15,8 @@ from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording, check_in_space, check_plausible
 from invdyn.recordings.cameras import Filmed
 from invdyn.recordings.errors import about
-from invdyn.recordings.plausible import BASE, check_scale
+from invdyn.recordings.plausible import BASE, check_shifts
 from invdyn.recordings.repairs import repaired
-from invdyn.recordings.units import Units
 from invdyn.recordings.zero_likelihood import without_zeros
 
 POSES = (0.0, 0.7, -1.3)
@@ -26,17 +25,19 @@ ROUNDING = 1e-9
 """Of the reach: what a distance may change by for rounding."""
 
 
-def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guessed: bool = False) -> None:
-    """Raise InputError for distances, times or speeds that are not this body's, unless ``units`` declare them.
+def check_fits(recording: Recording, body: ArticulatedBody, guessed: bool = False) -> None:
+    """Raise InputError for distances, times or speeds that are not this body's, unless its units were declared.
 
-    Keypoints are in the body's frame. Lengths are ``guessed`` where the body does not state them, or the caller says
-    so. Of a body of another kind than a chain in the plane or a tree, nothing is checked.
+    Keypoints are in the body's frame, or the base is tracked. Lengths are ``guessed`` where the body does not state
+    them, or the caller says so. Of a body of another kind than a chain in the plane or a tree, nothing is checked.
     """
+    if isinstance(body, Body):
+        recording = at_rest(recording, body)[0]
     if isinstance(body, Body) and body.is_chain:
         guessed = guessed or any(not isinstance(link.length, int | float) for link in body.links)
         guessed = guessed or body.uncertainty.get("length", 0.0) > 0
         recording = in_chain_order(recording, body)
-        check_plausible(recording, [link.nominal("length") for link in body.links], body.base, units, guessed)
+        check_plausible(recording, [link.nominal("length") for link in body.links], body.base, guessed)
     elif isinstance(body, Body):
         numbers, dynamics = body.parameters(), dynamics_for(body)
         turning = {motion.name for _, motion in body.motions() if motion.turns}
@@ -46,7 +47,6 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
             dynamics.reach(numbers).item(),
             rigid_distances(body) | (distances_of_base(body) if rooted(body) else {}),
             {joint: lever for joint, lever in levers if joint in turning},
-            units,
             guessed or body.has_priors or bool(body.learned),
             numbers.position[0].tolist() if rooted(body) else None,
             numbers.position.norm(dim=-1).sum().item() + max(numbers.sites.norm(dim=-1).tolist(), default=0.0),
@@ -56,18 +56,30 @@ def check_fits(recording: Recording, body: ArticulatedBody, units: Units, guesse
 def put_right(recording: Recording, body: ArticulatedBody) -> Recording:
     """A recording that may have been made in Python, repaired as those of files are (:mod:`invdyn.recordings.repairs`).
 
-    Raises InputError where its distances are another unit's than the body's lengths: off by a factor of three or more.
+    Raises InputError where it is in other units than the body's, or in a unit that makes its motion another body's.
+    Lengths may be uncertain here: they may be off by a factor of three (:func:`check_fits`).
     """
     if isinstance(recording, Filmed) or not isinstance(body, Body):
         return recording
     with about(recording.name):
         found = without_zeros(recording, recording.length_unit == "px", in_file=False)
         recording = repaired(found, slides(body))
-        distances = (distances_of_base(body) if rooted(body) else {}) | rigid_distances(body)
-        tracked = body.base_keypoint in recording.keypoint_names
-        base = recording.keypoint(str(body.base_keypoint)) if tracked else np.array(body.base)
-        check_scale(recording, distances, base)
+        check_shifts(recording, slides(body))
+        check_fits(recording, body, guessed=True)
     return recording
+
+
+def at_rest(recording: Recording, body: Body, base: str | None = None) -> tuple[Recording, str | None]:
+    """The body's keypoints as of a base that stands still, where it is tracked, and the name of that track.
+
+    ``base`` is a name that it may have besides the body's own.
+    """
+    known = (body.base_keypoint, base, site_at_base(body))
+    own = next((each for each in known if each in recording.keypoint_names), None)
+    if own is None or recording.keypoints.shape[-1] != body.dimensions:
+        return recording, None
+    steady = recording.relative_to(own).moved(body.base)
+    return steady.with_keypoints([each for each in steady.keypoint_names if each in body.keypoint_names]), own
 
 
 def in_chain_order(recording: Recording, body: Body) -> Recording:

@@ -12,7 +12,6 @@ from invdyn.models import Body, dynamics_for
 from invdyn.recordings import InputError
 from invdyn.recordings.cameras import Filmed, load_filmed
 from invdyn.recordings.reading import Reading
-from invdyn.recordings.units import Units
 
 from .input_names import camera_offset, frame_range
 
@@ -78,7 +77,7 @@ def _check_size(recording: Filmed, body: Body) -> None:
 def _check_points(recording: Filmed, body: Body) -> None:
     """Refuse lengths, names, times and speeds that are not the body's, by the triangulated points."""
     try:
-        check_fits(recording.points, body, Units())
+        check_fits(recording.points, body)
     except InputError as error:
         raise InputError(
             f"{recording.name}: {error} (of points triangulated from the cameras, in the calibration's frame and "

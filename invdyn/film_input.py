@@ -62,7 +62,7 @@ def read_film(
     (reading,) = read_table(
         [str(tracks)], body, units="px", scale=scale, base=base, frames=frames, guessed=guessed, as_filmed=as_filmed
     )
-    return [Reading(reading.recording, reading.units, film=TrackedFilm(Path(name), tracks, root))]
+    return [Reading(reading.recording, film=TrackedFilm(Path(name), tracks, root))]
 
 
 def track_into(

@@ -45,13 +45,12 @@ def read_logs(
     def read(**scales: float) -> list[Recording]:
         found = recordings_of(name, body.joint_names, given, episodes, **scales)
         found = [logged.without_commands() for logged in found] if hide_torque else found
-        return [_in_the_bodys_terms(logged, body, maps).at(frame_range(frames)) for logged in found]
+        own = [_in_the_bodys_terms(logged, body, maps).at(frame_range(frames)) for logged in found]
+        return [replace(recording, units=(given or LogMap()).units) for recording in own]
 
-    units = (given or LogMap()).units
     targets = any(own.servo is not None for own in body.joint_parts)
     return [
-        Reading(recording, units, lambda n=n, **scales: read(**scales)[n], targets, maps)
-        for n, recording in enumerate(read())
+        Reading(recording, lambda n=n, **scales: read(**scales)[n], targets, maps) for n, recording in enumerate(read())
     ]
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from invdyn.inference.plausible_for_body import check_fits, rooted, site_at_base, slides
+from invdyn.inference.plausible_for_body import at_rest, check_fits, rooted, site_at_base, slides
 from invdyn.inference.posterior.base_motion import base_motion
 from invdyn.models import Body, dynamics_for
 from invdyn.recordings import FORMATS, InputError, Recording, bridged, in_body_lengths, load, parse_units
@@ -69,7 +69,7 @@ def read_table(
             options["units"] = ",".join([units, *missing] if units else missing)
         options["plane"] = plane or (FLAT if body.dimensions == 2 else None)
         recording = load(name, joints=body.joint_names, shifting=slides(body), **options)
-        return [Reading(recording.at(rows), stated)]
+        return [Reading(recording.at(rows))]
     if isinstance(scale, str) and scale != BODY:
         raise InputError(f"scale: expected metres a pixel, or {BODY!r}, got {scale!r}")
     unscaled = scale == BODY
@@ -80,16 +80,12 @@ def read_table(
         got = ", ".join(recording.keypoint_names) or "none"
         raise InputError(f"{name}: expected a keypoint {base!r}, for --set base, got {got}: name the first joint's")
     with about(name):
-        known = (body.base_keypoint, base, site_at_base(body))
-        own, steady = next((each for each in known if each in recording.keypoint_names), None), recording
-        if own is not None:
-            steady = recording.relative_to(own).moved(body.base)
-            steady = steady.with_keypoints([each for each in steady.keypoint_names if each in body.keypoint_names])
-        check_fits(steady, body, stated, guessed or unscaled)
+        steady, own = at_rest(recording, body, base)
+        check_fits(steady, body, guessed or unscaled)
         if as_filmed and own is not None:
             recording = _for_diagnosis(name, recording, steady, own)
         first = rows.indices(recording.num_frames)[0]
-        return [Reading(bridged(recording.at(rows), length, first), stated)]
+        return [Reading(bridged(recording.at(rows), length, first))]
 
 
 def load_recording(name: str, body: Body, **options: Any) -> Recording:

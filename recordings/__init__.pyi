@@ -27,11 +27,11 @@ from .paths import resolved as resolved
 from .plausible import check_in_space as check_in_space
 from .plausible import check_plausible as check_plausible
 from .recording import Recording as Recording
+from .si import in_body_lengths as in_body_lengths
+from .si import median_link_lengths as median_link_lengths
 from .tables import read_table as read_table
 from .tables import write_table as write_table
 from .truth import Truth as Truth
 from .truth import read_truth as read_truth
 from .truth import write_truth as write_truth
-from .units import in_body_lengths as in_body_lengths
-from .units import median_link_lengths as median_link_lengths
 from .units import parse_units as parse_units

@@ -17,7 +17,8 @@ from .plane import FLAT, planar, read_as
 from .plausible import check_magnitudes
 from .recording import Recording
 from .repairs import repaired
-from .units import FRAMES, Units, parse_units, to_si
+from .si import to_si
+from .units import FRAMES, Units, parse_units
 from .zero_likelihood import without_zeros
 
 MIN_RATE, MAX_RATE = 1e-3, 1e6  # frames a second
@@ -111,8 +112,9 @@ def read_file(
             warnings.warn(f"{path}: y is up in this file, z is up here: {rotated}", stacklevel=2)
         angle = declared.angle or form.angle_unit(path)
         recording = to_si(recording, replace(declared, angle=angle), scale, fps, shifting)
+        recording = replace(recording, units=declared)
         try:
-            check_magnitudes(recording, declared)
+            check_magnitudes(recording)
         except InputError:
             if scale is None or recording.angles is not None:
                 raise

@@ -22,7 +22,7 @@ import numpy as np
 from .errors import InputError
 from .limits import PLAUSIBLE
 from .recording import Recording
-from .units import TIMES, Units
+from .units import TIMES
 
 GRAVITY = 9.81  # m/s²
 
@@ -32,13 +32,12 @@ def swing(length: float) -> float:
     return 2 * np.pi * float(np.sqrt(length / GRAVITY))
 
 
-def check_interval(recording: Recording, length: float, units: Units) -> None:
+def check_interval(recording: Recording, length: float) -> None:
     """Raise InputError when rows with an observation are too far apart, or too near, for seconds.
 
     Args:
         recording: its times in seconds, if that is what they are.
         length: of the body, m; of pixels and body lengths, whose size in m is unknown, about 1.
-        units: what was declared, and where.
     """
     time = recording.time[_observed(recording)]
     if len(time) < 2:
@@ -51,6 +50,7 @@ def check_interval(recording: Recording, length: float, units: Units) -> None:
         )
     if PLAUSIBLE.interval <= interval <= slowest:
         return
+    units = recording.units
     whole = bool((time == np.round(time)).all()) and interval == 1.0
     fitting = [unit for unit, size in TIMES.items() if 10 * PLAUSIBLE.interval <= interval * size <= slowest]
     likely = min(

@@ -14,20 +14,21 @@ from .exchanged_names import check_names
 from .limits import PLAUSIBLE
 from .pace import check_interval, froude
 from .recording import Recording
-from .units import METRES, RADIANS, Units, median_distances
+from .si import median_distances
+from .units import METRES, RADIANS, Units
 
 BASE = "the base"
 """Name of the first joint's position, which is no keypoint."""
 
 
-def check_magnitudes(recording: Recording, units: Units) -> None:
+def check_magnitudes(recording: Recording) -> None:
     """Raise InputError when lengths are too large for metres, or undeclared angles for radians."""
     if recording.length_unit == "m" and (extent := _extent(recording)) > PLAUSIBLE.extent:
         raise InputError(
             f"keypoints extend over {extent:.3g} m, too much for one body; "
             + (_odd_columns(recording) or "these look like pixels: pass --units px (or mm, cm)")
         )
-    if units.angle is None and recording.angles is not None:
+    if (units := recording.units).angle is None and recording.angles is not None:
         largest = np.nanmax(np.abs(recording.angles), initial=0.0)
         if largest > PLAUSIBLE.angle:
             raise InputError(
@@ -36,17 +37,19 @@ def check_magnitudes(recording: Recording, units: Units) -> None:
             )
 
 
-def check_shifts(recording: Recording, slides: Collection[str], units: Units) -> None:
+def check_shifts(recording: Recording, slides: Collection[str]) -> None:
     """Raise InputError where a joint that shifts does so by more than any body's is long: it is in mm, or cm."""
     if recording.angles is None:
         return
     for name, shift in zip(recording.joint_names, recording.angles.T, strict=True):
         known = shift[np.isfinite(shift)]
         if name in slides and known.size and (extent := float(np.ptp(known))) > PLAUSIBLE.extent:
-            line = f'write unit = "mm" (or "cm") in the line "angle = …" of [joints.{name}] in {units.mapping}'
+            line = (
+                f'write unit = "mm" (or "cm") in the line "angle = …" of [joints.{name}] in {recording.units.mapping}'
+            )
             raise InputError(
                 f"joint {name} shifts by {extent:.3g} m, too much for one body; these look like mm or cm: "
-                f"{'write that column in m' if units.mapping is None else line}"
+                f"{'write that column in m' if recording.units.mapping is None else line}"
             )
 
 
@@ -54,7 +57,6 @@ def check_plausible(
     recording: Recording,
     link_lengths: Sequence[float],
     base: Sequence[float] | None = (0.0, 0.0),
-    units: Units | None = None,
     guessed: bool = False,
 ) -> None:
     """Compare a recording with a body: distances, times and speeds, and angles with keypoints.
@@ -64,16 +66,14 @@ def check_plausible(
         link_lengths: K lengths, in the recording's unit.
         base: position of the first joint in the recording's frame, when it is not itself a keypoint; None leaves the
             first link unchecked.
-        units: what the file's numbers were declared to be.
         guessed: lengths are to be learned, or uncertain.
 
     Raises:
         InputError: a distance that is off by more than a factor of 3, or too large by more than 1.5 for a length that
             is not guessed; names of two keypoints that are exchanged (:mod:`.exchanged_names`); times or speeds that
-            are not this body's (:mod:`.pace`); angles that fit the keypoints in the other unit. With keypoints in
-            pixels or of another chain only the times are checked.
+            are not this body's (:mod:`.pace`); angles that fit the keypoints in the other unit. With keypoints of
+            another chain only the times are checked.
     """
-    units = units or Units()
     lengths, reach = list(link_lengths), float(sum(link_lengths))
     if recording.length_unit == "px":
         reach = 1.0  # of an arm whose size is not known, at most
@@ -83,23 +83,23 @@ def check_plausible(
             "give lengths that add up to 1, or scale the keypoints by the body's own length"
         )
     count, angles = len(lengths), recording.angles
-    known = recording.length_unit != "px" and len(recording.keypoint_names) in (count, count + 1)
+    known = len(recording.keypoint_names) in (count, count + 1)
     names = (BASE, *recording.keypoint_names)[-count - 1 :] if known else ()
     links = dict(zip(pairwise(names), lengths, strict=False))
     turned = angles is not None and angles.shape[1] == count
     levers = dict(zip(recording.joint_names, lengths, strict=True)) if turned else {}
-    check_in_space(recording, reach, links, levers, units, guessed, base)
+    check_in_space(recording, reach, links, levers, guessed, base)
     tracks = _tracks(recording, base)
     nothing = np.full((recording.num_frames, recording.keypoints.shape[-1]), np.nan)
     along = {pair: tracks.get(pair[1], nothing) - tracks.get(pair[0], nothing) for pair in links}
-    for (before, name), track in along.items() if recording.length_unit == "m" and units.time is None else ():
+    for (before, name), track in along.items() if recording.length_unit == "m" and recording.units.time is None else ():
         if (number := froude(track, recording.time, links[before, name])) > PLAUSIBLE.froude:
             raise InputError(
                 f"{name} moves too fast: in a quarter of the rows it feels {number:.3g} times gravity about the joint "
-                f"before it. Check --fps, and that times are seconds; {units.accepts('s')} accepts them"
+                f"before it. Check --fps, and that times are seconds; {recording.units.accepts('s')} accepts them"
             )
     if along and angles is not None and turned:
-        _check_agreement(np.stack(list(along.values()), axis=1), angles, units)
+        _check_agreement(np.stack(list(along.values()), axis=1), angles, recording.units)
 
 
 def check_in_space(
@@ -107,7 +107,6 @@ def check_in_space(
     reach: float,
     distances: Mapping[tuple[str, str], float],
     levers: Mapping[str, float],
-    units: Units | None = None,
     guessed: bool = False,
     base: Sequence[float] | None = None,
     farthest: float = np.inf,
@@ -119,7 +118,6 @@ def check_in_space(
         reach: of the body, m.
         distances: by two keypoints' names, m, of points at a constant distance; `BASE` is the first joint.
         levers: by joint, m, how far a rotation by one radian moves some point; without joints that shift.
-        units: what the file's numbers were declared to be.
         guessed: distances are to be learned, or uncertain.
         base: place of the first joint in the recording's frame, m, of a body that only rotates about it; else None.
         farthest: that a point of such a body may be from there, m.
@@ -127,9 +125,9 @@ def check_in_space(
     Raises:
         InputError: as `check_plausible`.
     """
-    units = units or Units()
+    units = recording.units
     if units.time is None:
-        check_interval(recording, reach, units)
+        check_interval(recording, reach)
     known = _tracks(recording, base)
     if base is not None:
         for name in recording.keypoint_names:
@@ -149,16 +147,6 @@ def check_in_space(
         for name, angle in zip(recording.joint_names, recording.angles.T, strict=True):
             if name in levers:
                 _check_turning(name, angle, recording.time, levers[name], units)
-
-
-def check_scale(recording: Recording, distances: Mapping[tuple[str, str], float], base: np.ndarray) -> None:
-    """Raise InputError where a distance is off by more than a factor of 3, as it is in another unit.
-
-    ``distances`` are as of :func:`check_in_space`, in the body's unit; ``base`` is the first joint's place (S,), or its
-    track (T, S).
-    """
-    known = _tracks(recording, base if base.shape[-1] == recording.keypoints.shape[-1] else None)
-    _check_lengths(known, {pair: distances[pair] for pair in distances if set(pair) <= known.keys()}, True, recording)
 
 
 def _tracks(recording: Recording, base: Sequence[float] | np.ndarray | None) -> dict[str, np.ndarray]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from .formats.deeplabcut import read_deeplabcut_csv
 from .recording import Recording
+from .si import median_link_lengths, to_si
 from .tables import read_numbers, read_rows, read_table
 from .truth import Truth
-from .units import Units, median_link_lengths, to_si
+from .units import Units
 
 JOINTS = ("shoulder", "elbow")
 HANGING = np.array([-np.pi / 2, 0.0])  # θ at q = 0

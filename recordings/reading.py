@@ -1,16 +1,15 @@
-"""A recording with what was said of its units, and what it would be in others: what stands in a mapping changes there.
+"""A recording, and what it would be in other units: what stands in a mapping changes there.
 
 A log's angles are counted from zeros, and a servo's targets are torques by now. So a recording in another unit is read
 once more, and not multiplied.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .logs.mapping import JointMap
 from .recording import Recording
-from .units import Units
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,6 @@ class Reading:
 
     Attributes:
         recording: in SI units, if the units are right.
-        units: what was declared, and where.
         again: of factors `angle`, `target` and `time`, the recording with these so many times as large; None where the
             recording has the file's own zeros and no targets, so that its numbers may be multiplied.
         targets: whether some of its torques are servos' targets.
@@ -38,7 +36,6 @@ class Reading:
     """
 
     recording: Recording
-    units: Units = field(default_factory=Units)
     again: Callable[..., Recording] | None = None
     targets: bool = False
     maps: tuple[JointMap, ...] | None = None

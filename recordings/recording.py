@@ -4,6 +4,7 @@ SI units and radians; what was not seen is NaN and stays NaN. Shapes: T frames, 
 space axes (x right, y up in 2-D; z up in 3-D), K joints.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
+from .units import Units
 
 MAX_VALUE = 1e7
 """Of any coordinate, angle, torque or confidence, in its own unit: m, px, rad, deg, N·m. A film has 10⁴ pixels, a map
@@ -74,6 +76,8 @@ class Recording:
         joint_names: K names; () when neither angles nor torques are known.
         name: said in figures and messages.
         length_unit: "m", "px", or "body length" after normalisation.
+        units: what a file's numbers were declared to be before they became SI (`parse_units`); a declared unit is not
+            doubted.
 
     Raises:
         InputError: shapes or names that do not fit, fewer than two frames, times that are not finite and
@@ -89,6 +93,7 @@ class Recording:
     joint_names: tuple[str, ...] = ()
     name: str = "recording"
     length_unit: str = "m"
+    units: Units = dataclasses.field(default_factory=Units)
 
     def __post_init__(self) -> None:
         for field in ("time", "keypoints", "confidence", "angles", "torques"):

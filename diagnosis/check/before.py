@@ -18,7 +18,6 @@ from invdyn.models import ArticulatedBody
 from invdyn.recordings import Recording
 from invdyn.recordings.pace import check_interval
 from invdyn.recordings.reading import Reading
-from invdyn.recordings.units import Units
 
 SIGNS = ("torque sign", "direction", "angle sign")
 NOT_SURE = ("held",)
@@ -82,7 +81,7 @@ def check_numbers(
 
     Joints of ``shifting`` are in m. Numbers that are too large for their unit are warned of, as a wheel's angle may be.
     """
-    found = wrong_size(recording, shifting, Units(), lambda: check_interval(recording, reach, Units()))
+    found = wrong_size(recording, shifting, lambda: check_interval(recording, reach))
     if found is not None:
         warnings.warn(f"{recording.name}: {found}", stacklevel=2)
     return _by_size(recording.name, rows_of(Reading(recording), rules)[0], force)

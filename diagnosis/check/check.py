@@ -161,7 +161,7 @@ def check(
     every = [] if passive or unclear else motions(reading, body, rules)
     motion = _motion(every, reading, fit, rules) if every else None
     if motion is not None:
-        looked_for = partial(find, fit, encoders=encoders, said=reading.units)
+        looked_for = partial(find, fit, encoders=encoders, said=reading.recording.units)
         found, dropped = looked_for(motion)
         if not found and fit.explain(motion).misfit > rules.check.max_right_misfit:  # under another window, then
             other = min(every, key=lambda each: fit.explain(each).misfit)
@@ -238,7 +238,9 @@ def _motion(every: Sequence[Motion], reading: Reading, fit: TorqueFit, rules: Ru
     if min(plain) <= rules.check.min_misfit:  # nothing is wrong
         return every[int(np.argmin(plain))]
     # angles or commands alone are exchanged more rarely, and no window tells these from whole columns
-    mistakes = [m for m in known(every[0], encoders, reading.units) if m.kind != "exchanged" or "columns" in m.words]
+    mistakes = [
+        m for m in known(every[0], encoders, reading.recording.units) if m.kind != "exchanged" or "columns" in m.words
+    ]
     rare = between(*_commands(reading.recording, body))
 
     def best(motion: Motion, whole: Motion) -> float:

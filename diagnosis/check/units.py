@@ -43,10 +43,10 @@ def wrong_units(
     recording, limits = reading.recording, rules.check
     if _rows(recording) < rules.recording.min_rows:  # too few to tell a pace by
         return None, (), reading
-    implausible = _implausible(recording, body, reading.units)
-    if implausible is None and _implausible(recording, body, Units()) is None:
+    implausible = _implausible(recording, body)
+    if implausible is None and _implausible(_undeclared(recording), body) is None:
         return None, (), reading
-    if _shifted(recording, body, reading.units) is not None:  # of one joint, and read from its own line
+    if _shifted(recording, body) is not None:  # of one joint, and read from its own line
         return implausible, (), reading
     found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
@@ -59,7 +59,7 @@ def wrong_units(
             righted = reading.rescaled(**scales)
         except InputError:  # no times of any recording
             continue
-        if _implausible(righted.recording, body, Units()) is None:
+        if _implausible(_undeclared(righted.recording), body) is None:
             found.append((least_misfit(righted, body, rules), tried, righted))
     if not found:
         return implausible, (), reading
@@ -135,7 +135,8 @@ def _within(reading: Reading, body: ArticulatedBody, rules: Rules) -> str | None
 def _range_for(reading: Reading) -> str:
     """What to write for shares of a range."""
     lines = " and ".join(f'"{track} = …"' for track in (("angle", "target") if reading.targets else ("angle",)))
-    return f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {reading.units.mapping}"
+    mapping = reading.recording.units.mapping
+    return f"write range = [low, high], rad at −100 and at 100, in each line {lines} of {mapping}"
 
 
 def motions(reading: Reading, body: ArticulatedBody, rules: Rules = DEFAULT) -> list[Motion]:
@@ -179,33 +180,38 @@ def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
             track: {own.unit for own in (getattr(each, track) for each in reading.maps) if own is not None} or {None}
             for track in ("angle", "target")
         }
-    every = list(units(reading.units, reading.targets, stated))
+    every = list(units(reading.recording.units, reading.targets, stated))
     yield from ((mistake,) for mistake in every)
     yield from (pair for pair in combinations(every, 2) if len({each.kind == "time" for each in pair}) == 2)
 
 
-def _implausible(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
+def _undeclared(recording: Recording) -> Recording:
+    """The recording as if nobody had said its units."""
+    return replace(recording, units=Units())
+
+
+def _implausible(recording: Recording, body: ArticulatedBody) -> str | None:
     """What speaks against the size of the numbers; None for nothing."""
-    return wrong_size(recording, slides(body), units, lambda: check_fits(recording, body, units))
+    return wrong_size(recording, slides(body), lambda: check_fits(recording, body))
 
 
-def wrong_size(recording: Recording, shifting: Collection[str], units: Units, fits: Callable[[], None]) -> str | None:
+def wrong_size(recording: Recording, shifting: Collection[str], fits: Callable[[], None]) -> str | None:
     """The same of joints of which some are ``shifting``, and by what ``fits`` raises."""
     turning = [name not in shifting for name in recording.joint_names]
     try:
-        check_shifts(recording, shifting, units)
+        check_shifts(recording, shifting)
         angles = None if recording.angles is None else np.where(turning, 1.0, 0.0) * recording.angles
-        check_magnitudes(replace(recording, angles=angles), units)
+        check_magnitudes(replace(recording, angles=angles))
         fits()
     except InputError as error:
         return str(error)
     return None
 
 
-def _shifted(recording: Recording, body: ArticulatedBody, units: Units) -> str | None:
+def _shifted(recording: Recording, body: ArticulatedBody) -> str | None:
     """What speaks against the size of the numbers of joints that shift."""
     try:
-        check_shifts(recording, slides(body), units)
+        check_shifts(recording, slides(body))
     except InputError as error:
         return str(error)
     return None

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from robot_log import ARM, robot_log
 
-from invdyn.inference.plausible_for_body import check_fits
+from invdyn.inference.plausible_for_body import check_fits, put_right
 from invdyn.inputs import load_body
 from invdyn.models import dynamics_for
-from invdyn.recordings import InputError, Recording
-from invdyn.recordings.units import Units
+from invdyn.recordings import InputError, Recording, parse_units
 
 
 @pytest.fixture(scope="module")
@@ -21,26 +20,51 @@ def film():
 
 def test_lengths_that_the_body_states_are_compared_and_guessed_ones_less_so(film):
     twice = film.scaled(2.0, "m")
-    check_fits(film, ARM, Units())
+    check_fits(film, ARM)
     with pytest.raises(InputError, match=r"base and elbow lie 0.6 m apart .*, but the body's link is 0.3 m"):
-        check_fits(twice, ARM, Units())
-    check_fits(twice, ARM, Units(), guessed=True)
-    check_fits(twice, replace(ARM, uncertainty={"length": 0.3}), Units())
+        check_fits(twice, ARM)
+    check_fits(twice, ARM, guessed=True)
+    check_fits(twice, replace(ARM, uncertainty={"length": 0.3}))
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1e3, "look like ms"), (1 / 0.016, "look like frame numbers"), (1 / 600, "moves too fast")]
+)
+def test_a_recording_made_in_python_is_refused_as_a_file_is(film, factor, words):
+    wrong = replace(film, time=np.round(film.time * factor, 9), name="mine")
+    with pytest.raises(InputError, match=f"^mine: .*{words}.*--units s"):
+        put_right(wrong, ARM)
+    assert put_right(replace(wrong, units=parse_units("s")), ARM).time is not None  # who says so is believed
+
+
+def test_degrees_taken_for_radians_are_refused_at_the_same_door():
+    log = robot_log(1.0, camera=False)
+    put_right(log, ARM)
+    with pytest.raises(InputError, match="look like degrees: pass --units deg"):
+        put_right(replace(log, angles=np.degrees(log.angles)), ARM)
+
+
+def test_a_base_that_moves_is_compared_without_its_motion(film):
+    """Between rows a train goes farther than an arm; along the arm nothing is odd."""
+    train = np.stack([60.0 * film.time, np.zeros_like(film.time)], -1)[:, None]
+    points = np.concatenate([train, film.keypoints + train], axis=1)
+    carried = replace(film, keypoints=points, keypoint_names=("shoulder", *film.keypoint_names))
+    assert put_right(carried, ARM).keypoint_names == carried.keypoint_names
 
 
 def test_exchanged_names_are_refused_whether_lengths_are_guessed_or_not(film):
     exchanged = replace(film, keypoints=film.keypoints[:, ::-1])
     for guessed in (False, True):
         with pytest.raises(InputError, match="keypoints 'elbow' and 'wrist' seem to be exchanged"):
-            check_fits(exchanged, ARM, Units(), guessed)
+            check_fits(exchanged, ARM, guessed)
 
 
 def test_the_order_of_columns_does_not_matter(film):
     """A recording that is built in Python may name its keypoints from the hand on."""
     other = replace(film, keypoints=film.keypoints[:, ::-1], keypoint_names=film.keypoint_names[::-1])
-    check_fits(other, ARM, Units())
+    check_fits(other, ARM)
     with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
-        check_fits(replace(other, keypoints=film.keypoints), ARM, Units())
+        check_fits(replace(other, keypoints=film.keypoints), ARM)
 
 
 def test_the_same_in_space():
@@ -51,14 +75,14 @@ def test_the_same_in_space():
     dynamics = dynamics_for(body)
     points = np.asarray(dynamics.keypoints(body.parameters().gravity.new_tensor(angles), body.parameters()))
     right = Recording(time, points, body.keypoint_names)
-    check_fits(right, body, Units())
+    check_fits(right, body)
     with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
-        check_fits(replace(right, keypoints=points[:, ::-1]), body, Units())
+        check_fits(replace(right, keypoints=points[:, ::-1]), body)
     with pytest.raises(InputError, match=r"elbow lies .* m from the base .* pass --set base"):
-        check_fits(replace(right, keypoints=points + 3.0), body, Units())
+        check_fits(replace(right, keypoints=points + 3.0), body)
     with pytest.raises(InputError, match=r"wrist lies 3.56 m from the base .* check --units"):
-        check_fits(right.scaled(2.0, "m"), body, Units())
-    check_fits(right.scaled(2.0, "m"), body, Units(), guessed=True)
+        check_fits(right.scaled(2.0, "m"), body)
+    check_fits(right.scaled(2.0, "m"), body, guessed=True)
 
 
 def test_encoders_alone_of_a_body_in_space_have_no_keypoints_to_place():
@@ -67,6 +91,6 @@ def test_encoders_alone_of_a_body_in_space_have_no_keypoints_to_place():
     time = np.arange(0, 3, 0.02)
     angles = 0.3 * np.sin(time[:, None] + np.arange(body.num_joints))
     log = Recording(time, np.empty((len(time), 0, 2)), (), angles=angles, joint_names=body.joint_names)
-    check_fits(log, body, Units())
+    check_fits(log, body)
     with pytest.raises(InputError, match=r"too fast|deg"):
-        check_fits(replace(log, angles=np.degrees(angles)), body, Units())
+        check_fits(replace(log, angles=np.degrees(angles)), body)

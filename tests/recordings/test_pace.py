@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invdyn.recordings import InputError, Recording, bridged, check_plausible, load, names, parse_units
+from invdyn.recordings import InputError, Recording, bridged, check_plausible, in_body_lengths, load, names, parse_units
 from invdyn.recordings.limits import PLAUSIBLE
 from invdyn.recordings.pace import froude, swing
 
@@ -66,7 +66,7 @@ def test_times_in_another_unit_are_refused_with_its_name(factor, words):
     wrong = timed(arm(), np.round(arm().time * factor, 12))
     with pytest.raises(InputError, match=words):
         check_plausible(wrong, LENGTHS)
-    check_plausible(wrong, LENGTHS, units=parse_units("s"))  # who says so is believed
+    check_plausible(replace(wrong, units=parse_units("s")), LENGTHS)  # who says so is believed
 
 
 def test_seconds_since_1970_are_fine_and_too_few_digits_are_not():
@@ -97,7 +97,7 @@ def test_degrees_within_50_are_told_by_speeds(amplitude):
     assert np.abs(degrees.angles).max() < 50
     with pytest.raises(InputError, match="look like degrees: pass --units deg"):
         check_plausible(degrees, LENGTHS)
-    check_plausible(degrees, LENGTHS, units=parse_units("rad"))
+    check_plausible(replace(degrees, units=parse_units("rad")), LENGTHS)
 
 
 def test_slow_degrees_are_told_by_keypoints():
@@ -116,7 +116,7 @@ def test_slow_degrees_are_told_by_keypoints():
     with pytest.raises(InputError, match="taken as deg they fit: pass --units deg"):
         check_plausible(both(np.rad2deg(angles)), LENGTHS)
     with pytest.raises(InputError, match="taken as rad they fit: pass --units rad"):
-        check_plausible(both(np.deg2rad(angles)), LENGTHS, units=parse_units("deg"))
+        check_plausible(replace(both(np.deg2rad(angles)), units=parse_units("deg")), LENGTHS)
 
 
 def test_body_lengths_need_a_body_of_length_1():
@@ -168,6 +168,7 @@ BODIES = {"dfki": (0.3, 0.2), "ibm": (0.091, 0.070)}
 @pytest.mark.parametrize("name", names())
 def test_real_recordings_are_plausible(name, data_folder):
     recording = load(name)
+    recording = in_body_lengths(recording) if recording.length_unit == "px" else recording
     lengths = BODIES.get(name.split("-")[0], (0.5, 0.5))
     check_plausible(recording, lengths)
     assert bridged(recording, sum(lengths)) is recording

@@ -109,7 +109,8 @@ def test_link_lengths_that_no_picture_shows_are_refused():
     check_plausible(tips, (30.0, 0.4), base=None)  # where the base is, nobody knows
     with pytest.raises(InputError, match="the base and elbow"):
         check_plausible(tips, (30.0, 0.4))
-    check_plausible(arm(500.0).scaled(1.0, "px"), (0.3, 0.4))  # pixels say nothing of metres
+    with pytest.raises(InputError, match="scale the keypoints to the body's unit"):
+        check_plausible(arm(500.0).scaled(1.0, "px"), (0.3, 0.4))
 
 
 def test_median_link_lengths_and_body_lengths():

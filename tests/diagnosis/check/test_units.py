@@ -91,13 +91,15 @@ def test_what_was_declared_is_believed_where_nothing_but_its_size_speaks_against
     rotor = planar_body("rotor", [Link("disc", "axle", "rim", 0.1, 1.0)], gravity=(0.0, 0.0))
     time = np.arange(0, 4, 0.01)
     turning = Recording(time, np.empty((len(time), 0, 2)), (), angles=150 * time[:, None], joint_names=("axle",))
-    check_before(Reading(turning, parse_units("rad")), rotor)
+    check_before(Reading(replace(turning, units=parse_units("rad"))), rotor)
     with pytest.raises(InputError, match="the angles are in degrees, it seems: pass --units deg"):
         check_before(Reading(turning), rotor)
     # spinning up by a torque that is asked for in radians
     spun = replace(turning, angles=(40 * time**2)[:, None], torques=np.full((len(time), 1), 80 * 0.01 / 3))
-    check_before(Reading(spun, parse_units("rad")), rotor)
-    assert not check(Reading(spun, parse_units("rad")), rotor, effects=False).mistakes
+    spun = replace(spun, units=parse_units("rad"))
+    check_before(Reading(spun), rotor)
+    check_before(Reading(spun), rotor)
+    assert not check(Reading(spun), rotor, effects=False).mistakes
 
 
 def test_one_mistake_comes_before_two_that_fit_better(monkeypatch):
