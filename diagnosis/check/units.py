@@ -12,6 +12,7 @@ torques tell these two apart. Numbers that end at ±100, or at 0 and 100, are no
 import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -46,7 +47,7 @@ def wrong_units(
     implausible = _implausible(recording, body)
     if implausible is None and _implausible(_undeclared(recording), body) is None:
         return None, (), reading
-    if _shifted(recording, body) is not None:  # of one joint, and read from its own line
+    if _refused(partial(check_shifts, recording, slides(body))) is not None:  # of one joint, and read from its own line
         return implausible, (), reading
     found: list[tuple[float, tuple[Mistake, ...], Reading]] = []
     for tried in _combined(reading):
@@ -192,26 +193,22 @@ def _undeclared(recording: Recording) -> Recording:
 
 def _implausible(recording: Recording, body: ArticulatedBody) -> str | None:
     """What speaks against the size of the numbers; None for nothing."""
-    return wrong_size(recording, slides(body), lambda: check_fits(recording, body))
+    return wrong_size(recording, slides(body), partial(check_fits, recording, body))
 
 
 def wrong_size(recording: Recording, shifting: Collection[str], fits: Callable[[], None]) -> str | None:
     """The same of joints of which some are ``shifting``, and by what ``fits`` raises."""
     turning = [name not in shifting for name in recording.joint_names]
-    try:
-        check_shifts(recording, shifting)
-        angles = None if recording.angles is None else np.where(turning, 1.0, 0.0) * recording.angles
-        check_magnitudes(replace(recording, angles=angles))
-        fits()
-    except InputError as error:
-        return str(error)
-    return None
+    angles = None if recording.angles is None else np.where(turning, 1.0, 0.0) * recording.angles
+    turns = replace(recording, angles=angles)
+    return _refused(partial(check_shifts, recording, shifting), partial(check_magnitudes, turns), fits)
 
 
-def _shifted(recording: Recording, body: ArticulatedBody) -> str | None:
-    """What speaks against the size of the numbers of joints that shift."""
+def _refused(*checks: Callable[[], None]) -> str | None:
+    """What the first check that refuses the recording says; None where none does."""
     try:
-        check_shifts(recording, slides(body))
+        for each in checks:
+            each()
     except InputError as error:
         return str(error)
     return None

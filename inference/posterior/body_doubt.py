@@ -35,6 +35,7 @@ Shapes: M chains, R draws, T rows, K joints, L links. Units: kg, m, kg·m², rad
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -178,13 +179,4 @@ def with_doubted_body(contents: Contents, model: ArmModel, paths: Tensor) -> Con
     torque_unit = contents.units["torque"]
     units = contents.units | OF_JOINTS | dict.fromkeys(("stated_torque", "torque_offset", "dry_friction"), torque_unit)
     attributes = contents.attributes | {"body_doubt": NOTE}
-    return Contents(
-        posterior,
-        contents.predictive,
-        contents.observed,
-        contents.constants,
-        contents.coords,
-        units,
-        attributes,
-        contents.observed_coords,
-    )
+    return replace(contents, posterior=posterior, units=units, attributes=attributes)
