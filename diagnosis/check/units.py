@@ -45,7 +45,7 @@ def wrong_units(
     if _rows(recording) < rules.recording.min_rows:  # too few to tell a pace by
         return None, (), reading
     implausible = _implausible(recording, body)
-    if implausible is None and _implausible(_undeclared(recording), body) is None:
+    if implausible is None and _implausible(replace(recording, units=Units()), body) is None:
         return None, (), reading
     if _refused(partial(check_shifts, recording, slides(body))) is not None:  # of one joint, and read from its own line
         return implausible, (), reading
@@ -60,7 +60,7 @@ def wrong_units(
             righted = reading.rescaled(**scales)
         except InputError:  # no times of any recording
             continue
-        if _implausible(_undeclared(righted.recording), body) is None:
+        if _implausible(replace(righted.recording, units=Units()), body) is None:
             found.append((least_misfit(righted, body, rules), tried, righted))
     if not found:
         return implausible, (), reading
@@ -184,11 +184,6 @@ def _combined(reading: Reading) -> Iterator[tuple[Mistake, ...]]:
     every = list(units(reading.recording.units, reading.targets, stated))
     yield from ((mistake,) for mistake in every)
     yield from (pair for pair in combinations(every, 2) if len({each.kind == "time" for each in pair}) == 2)
-
-
-def _undeclared(recording: Recording) -> Recording:
-    """The recording as if nobody had said its units."""
-    return replace(recording, units=Units())
 
 
 def _implausible(recording: Recording, body: ArticulatedBody) -> str | None:
