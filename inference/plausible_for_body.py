@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -85,29 +84,12 @@ def at_rest(recording: Recording, body: Body, base: str | None = None) -> tuple[
 def in_chain_order(recording: Recording, body: Body) -> Recording:
     """The recording with its columns in the order of the chain; keypoints or joints of other names stay as they are."""
     points = _order(recording.keypoint_names, (body.joint_names[0], *body.keypoint_names))
-    joints = _order(recording.joint_names, body.joint_names)
-
-    if points == sorted(points) and joints == sorted(joints):
-        return recording
-
-    def columns(values: np.ndarray | None, order: list[int]) -> np.ndarray | None:
-        return None if values is None else values[:, order]
-
-    return replace(
-        recording,
-        keypoints=recording.keypoints[:, points],
-        keypoint_names=tuple(recording.keypoint_names[k] for k in points),
-        confidence=columns(recording.confidence, points),
-        angles=columns(recording.angles, joints),
-        torques=columns(recording.torques, joints),
-        joint_names=tuple(recording.joint_names[k] for k in joints),
-    )
+    return recording.with_keypoints(points).with_joints(_order(recording.joint_names, body.joint_names))
 
 
-def _order(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Places of ``names`` as they come among those that are known; their own order where one is not."""
-    places = list(range(len(names)))
-    return sorted(places, key=lambda k: known.index(names[k])) if set(names) <= set(known) else places
+def _order(names: Sequence[str], known: Sequence[str]) -> Sequence[str]:
+    """``names`` as they come among those that are known; in their own order where one is not."""
+    return sorted(names, key=known.index) if set(names) <= set(known) else names
 
 
 def slides(body: ArticulatedBody) -> set[str]:

@@ -25,10 +25,10 @@ from invdyn.diagnosis.regression.shaped_effects import SHARE
 from invdyn.diagnosis.rules import FIXED
 from invdyn.inference.posterior.initialise import arm_problem
 from invdyn.models import ArmModel, ArticulatedBody, Body
+from invdyn.models.bodies.point_mass import point_moments
 from invdyn.models.effects import EFFECTS
 from invdyn.models.effects.base import ABRUPT, Effect
 from invdyn.models.effects.composition import own_values
-from invdyn.models.effects.inertias import point_moments
 from invdyn.recordings import Recording
 
 Coefficients = Mapping[tuple[str, str, str], float]

@@ -17,9 +17,10 @@ from torch import Tensor
 
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.bodies.inertia import NAMES
+from invdyn.models.bodies.point_mass import point_moments
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.interface import Dynamics
-from invdyn.models.effects.inertias import has_inertias, inertia_of, point_moments
+from invdyn.models.effects.inertias import has_inertias, inertia_of
 
 
 class Moving(Protocol):

@@ -45,7 +45,7 @@ from invdyn.inference.posterior.problem import DRAWS, Contents
 from invdyn.models import ArmModel, Body
 from invdyn.models.bodies.scalars import prior
 from invdyn.models.effects.disturbances import GravityTilt
-from invdyn.models.effects.inertias import size_of
+from invdyn.models.effects.inertias import inertia_of, size_of, with_inertia
 
 MASS, MOMENT = 0.05, 0.1
 """Relative sds. Policies for real robots are trained under more: J. Tan and others (RSS 2018) vary masses by 20 % and
@@ -73,10 +73,11 @@ OF_JOINTS = {
 """Variables o, f, b and a of a posterior, with their units where lengths are metres."""
 NOTE = (
     "torques are net, what moves the links of the body's file: a geared motor's current, or a sensor before a tool, "
-    "shows that motor's friction, or the tool's weight, besides. The file does not say how well its numbers are "
-    f"known: the bands count masses and moments as known to {MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's "
-    f"size, level to 1°, and what joints take besides, as by friction, to {JOINT:.0%} of a link's weight times its "
-    f"size; damping, dry friction and rotors that it has, to {FILED:.0%} (--set exact_body=yes: all are exact)"
+    "shows that motor's friction, or the tool's weight, besides: `load` in the body's file adds a tool, whose mass "
+    "may be uncertain (docs/how-to/masses.md). The file does not say how well its numbers are known: the bands count "
+    f"masses and moments as known to {MASS:.0%}, centres of mass to {CENTRE:.0%} of a link's size, level to 1°, and "
+    f"what joints take besides, as by friction, to {JOINT:.0%} of a link's weight times its size; damping, dry "
+    f"friction and rotors that it has, to {FILED:.0%} (--set exact_body=yes: all are exact)"
 )
 
 
@@ -107,6 +108,14 @@ def drawn(model: ArmModel, shape: tuple[int, ...]) -> Any:
         inertia=numbers.inertia * moments,
         gravity=numbers.gravity.expand(*shape, -1),
     )
+    for place, link in enumerate(model.body.links if isinstance(model.body, Body) else ()):
+        if link.load is not None:
+            mass, at = link.load
+            own = inertia_of(changed, place)
+            where = torch.zeros_like(own.com)
+            where[..., : len(at)] = own.com.new_tensor(at)
+            more = (mass.sample((*shape, 1)) - mass.mean).to(own.com)
+            changed = with_inertia(changed, place, own.loaded(more, where))
     if not bool(numbers.gravity.any()):
         return changed
     tilt = GravityTilt().bound(model.body)

@@ -87,6 +87,11 @@ class Body(FromFiles):
         object.__setattr__(self, "links", ordered(self.links, where))
         quantities = QUANTITIES if self.is_chain else ("mass",)
         object.__setattr__(self, "uncertainty", relative(self.uncertainty, quantities, self.joint_names, where))
+        if any(link.load for link in self.links) and (self.exact or self.uncertainty or self.has_priors):
+            raise BodyError(
+                f"{where}: a load of uncertain mass is for a body that states no other certainty: leave exact, "
+                "[uncertainty] and priors out, or give the load's mass as a number"
+            )
         if self.is_chain:
             planar.check_chain(self.links, where)
             return

@@ -23,7 +23,8 @@ Instead of a number, a link's length, mass, com or inertia may be one of two tab
     mass = {mean = 1.5, sd = 0.1}   # a log-normal prior of that mean and sd (normal for a com ≤ 0)
     mass = {start = 1.5}            # learned from the recording, beginning here
 
-A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`.
+A link of numbers may carry a load: `load = {mass = 2.0, at = 0.25}`, kg and m from its joint; see `load.py`. Its mass
+may be uncertain, `{mean = 2.0, sd = 0.3}`, in a file that states no other certainty.
 
 A tree in space:
 
@@ -69,6 +70,7 @@ import pyro.distributions as dist
 from invdyn.models.bodies.joint_parts import PART_KEYS, parts_table, parts_taken
 from invdyn.models.bodies.joints import WORLD
 from invdyn.models.bodies.link import Link
+from invdyn.models.bodies.load import carrying
 from invdyn.models.bodies.rotations import UNTURNED, from_axes, from_quaternion, from_rpy
 from invdyn.models.bodies.scalars import QUANTITIES, BodyError, Learned, Scalar, check_keys, nominal, number, prior
 from invdyn.models.bodies.tree_parameters import vector_of
@@ -169,6 +171,10 @@ def write(
 
 def _written(link: Link, planar: bool) -> dict:
     values: dict = {"name": link.name, "joint": link.joint.name}
+    if link.load is not None:
+        mass, at = link.load
+        link = carrying(link, -nominal(mass), at)
+        values[LOAD] = {"mass": scalar_to_table(mass, LOAD), "at": at if len(at) > 1 else at[0]}
     scalars = {key: getattr(link, key) for key in QUANTITIES}
     if not planar:
         values["parent"] = link.parent
@@ -196,6 +202,8 @@ def _read_link(link: dict, planar: bool, where: str) -> dict:
     if missing := [key for key in required if key not in link]:
         raise BodyError(f"{where}: expected the keys {', '.join(required)}; missing: {', '.join(missing)}")
     made = {key: link[key] for key in ("name", "joint", "parent", "tip", LOAD) if key in link}
+    if isinstance(load := made.get(LOAD), dict) and isinstance(load.get("mass"), dict):
+        made[LOAD] = load | {"mass": scalar_from_table(load["mass"], f"{where}: mass of its load")}
     for key in (key for key in QUANTITIES if key in link):
         several = not planar and key in VECTORS
         made[key] = (_vector if several else scalar_from_table)(link[key], f"{where}: {key}")

@@ -35,7 +35,8 @@ class Link:
     A `joint` that is a text is a hinge of that name about z. A link with a `length` is a stick along its x axis that
     ends at its `tip`. Of a stick `com` may be one scalar, m along it, and `inertia` one, about its joint's axis z;
     else `com` has 3 and `inertia` 6 scalars. `rotation` has the rows of a matrix. `parts` are what a hinge or a slide
-    has besides: friction, a spring, a motor; None for nothing.
+    has besides: friction, a spring, a motor; None for nothing. `load` is a carried point mass whose mass is uncertain,
+    with its place: the link's own numbers have it at its mean (:mod:`.load`).
 
     Raises `BodyError` for parts of another joint, scalars that are not finite or too large for an arm, a mass, length
     or moment that is negative or whose prior allows it, and a rotation that is not right-handed and orthonormal.
@@ -53,6 +54,7 @@ class Link:
     origin: Vector | None
     rotation: Sequence[Sequence[float]]
     sites: Mapping[str, Vector]
+    load: tuple[dist.Distribution, tuple[float, ...]] | None
 
     def __init__(
         self,
@@ -68,9 +70,10 @@ class Link:
         origin: Vector | None = None,
         rotation: Sequence[Sequence[float]] = UNTURNED,
         sites: Mapping[str, Vector] | None = None,
+        load: tuple[dist.Distribution, tuple[float, ...]] | None = None,
     ):
         joint = Joint(joint) if isinstance(joint, str) else joint
-        given = (name, joint, tip, length, mass, com, inertia, parts, parent, origin, rotation, sites or {})
+        given = (name, joint, tip, length, mass, com, inertia, parts, parent, origin, rotation, sites or {}, load)
         for key, value in zip(fields(self), given, strict=True):
             object.__setattr__(self, key.name, value)
         self._check()

@@ -12,9 +12,10 @@ import torch
 from pyro.distributions import HalfNormal, Normal, StudentT
 from torch import Tensor
 
+from invdyn.models.bodies.point_mass import Inertia
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody
 from invdyn.models.effects.base import Effect, Parameter, Scale, Values, change
-from invdyn.models.effects.inertias import Inertia, has_inertias, inertia_of, point_of, size_of, with_inertia
+from invdyn.models.effects.inertias import has_inertias, inertia_of, point_of, size_of, with_inertia
 from invdyn.models.shapes import join
 
 

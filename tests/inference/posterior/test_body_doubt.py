@@ -135,6 +135,40 @@ def test_the_command_line_says_it_and_takes_a_file_as_exact(file, tmp_path):
 
 
 @pytest.mark.parametrize("dimensions", BODIES)
+def test_a_load_of_uncertain_mass_widens_the_band_by_its_weight(dimensions, monkeypatch, tmp_path):
+    """Of an arm at rest, all else known: sd of its mass times g times its horizontal distance from each joint."""
+    for name in ("MASS", "MOMENT"):
+        monkeypatch.setattr(body_doubt, name, 1e-6)
+    for name in ("CENTRE", "LEVEL", "JOINT"):
+        monkeypatch.setattr(body_doubt, name, 0.0)
+    at, place = (0.2 if dimensions == 2 else [0.1, 0.0, -0.2]), tmp_path / "arm.toml"
+    replace(BODIES[dimensions], exact=False).to_toml(place)
+    place.write_text(place.read_text() + f"load = {{mass = {{mean = 0.5, sd = 0.1}}, at = {at}}}\n")
+    body = Body.load(place)
+    body.to_toml(place)
+    one, other = (each.links[1] for each in (body, Body.load(place)))
+    assert [other.nominal("mass"), other.load[0].mean] == pytest.approx([one.nominal("mass"), 0.5], rel=1e-12)
+    np.testing.assert_allclose(other.com, one.com, rtol=1e-12)
+    np.testing.assert_allclose(other.inertia, one.inertia, atol=1e-12)
+    model = ArmModel(body, 0.04 * np.arange(3))
+    with seeded(0):
+        other = body_doubt.drawn(model, (20_000,))
+    q, still = torch.tensor([0.4, 0.7]).double().expand(20_000, 2), torch.zeros(20_000, 2).double()
+    torque = model.dynamics.inverse(q, still, still, other)
+    if dimensions == 2:
+        x = torch.tensor([0.3 * np.cos(0.4) + 0.2 * np.cos(1.1), 0.2 * np.cos(1.1)])
+    else:
+        links = [*body.links[:1], replace(body.links[1], sites={"tool": tuple(at)})]
+        probe = model_of = replace(body, links=links)
+        jacobian = ArmModel(model_of, model.time).dynamics.jacobian(q[0], probe.parameters())
+        x = jacobian[list(probe.keypoint_names).index("tool"), 2]
+    assert torque.std(0).numpy() == pytest.approx(0.1 * 9.81 * x.abs().numpy(), rel=0.02)
+    for stated in ({"exact": True}, {"uncertainty": {"mass": 0.1}}):
+        with pytest.raises(ValueError, match="a load of uncertain mass is for a body that states no other"):
+            replace(body, **stated)
+
+
+@pytest.mark.parametrize("dimensions", BODIES)
 def test_the_share_of_the_body_is_that_of_its_linearisation(dimensions):
     """Y Σ Yᵀ, with Y by differences, and all rows of one draw moved together; joints by themselves besides."""
     body = replace(BODIES[dimensions], exact=False)
