@@ -13,14 +13,14 @@ A position servo's command is the torque that its target asks for by itself, S �
 angles are those of `invdyn.models.Body`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from invdyn.blindcheck.pieces import Piece
-from invdyn.blindcheck.world import MAX_JOINT_SPEED, ChangeableBody, Policy, Trajectory, even_steps
+from invdyn.blindcheck.world import ChangeableBody
 from invdyn.models import Body
 from invdyn.models.bodies.inertia import six
 from invdyn.models.bodies.joint_parts_mjcf import kept_warnings
@@ -43,7 +43,6 @@ class World(ChangeableBody):
         self._spec_hooks: list[Callable] = []
         self._command_hooks: list[Callable] = []
         self._step_hooks: list[Callable] = []
-        self.model: Any = None
 
     def on_spec(self, change: Callable) -> None:
         """Register `change(spec)`, called with the MjSpec just before it is compiled."""
@@ -80,6 +79,9 @@ class World(ChangeableBody):
 
         self.on_step(act)
 
+    def resolve(self, rate: Callable[[np.ndarray], float]) -> None:
+        """Nothing: steps are short enough for every mechanism."""
+
     def drive(self, joint: int, of: Callable[[float, float, bool], float]) -> None:
         """Register what a joint's motor makes of a command, of(u, seconds, whether it is the first), in turn."""
         self.on_command(lambda i, s, u: np.where(np.arange(len(u)) == joint, of(float(u[joint]), s, i == 0), u))
@@ -94,7 +96,7 @@ class World(ChangeableBody):
         self.on_spec(lambda spec: set_part(spec.joint("hung"), {"stiffness": stiffness, "damping": damping}))
 
     def compile(self) -> None:
-        """Build the MuJoCo model; later changes by mechanisms do nothing."""
+        """Build the MuJoCo model."""
         mj = self.mujoco
         spec = mj.MjSpec()
         spec.compiler.degree = False
@@ -136,65 +138,30 @@ class World(ChangeableBody):
                 motor.biastype = mj.mjtBias.mjBIAS_AFFINE
                 motor.biasprm[1:3] = [-piece.servo[0], -piece.servo[1]]
 
-    def run(
-        self,
-        command_time: np.ndarray,
-        policy: Policy,
-        q: Sequence[float] | np.ndarray,
-        qd: Sequence[float] | np.ndarray,
-        restart: tuple[Trajectory, float] | None = None,
-    ) -> Trajectory:
-        """Simulate from the first to the last of the evenly spaced `command_time` (C,).
-
-        The command of row c acts from its time to the next row's. `restart` = (trajectory, period s): take q and qd
-        from that trajectory again after every period, which keeps a replay from running away.
-        A run that diverges is NaN from there on.
-        """
-        if self.model is None:
-            self.compile()
-        model, data = self.model, self.data
-        per_row, step, time = even_steps(command_time, self._longest_step(restart is not None))
-        model.opt.timestep, total = step, len(time) - 1
-        window = total + 1 if restart is None else max(1, round(restart[1] / step))
-        self.mujoco.mj_resetData(model, data)
-        joint_of = np.array([[p.joint == k for p in self.pieces] for k in range(self.num_joints)], dtype=float)
-        driven = [s for s, piece in enumerate(self.pieces) if piece.actuated]
-        data.qpos[driven], data.qvel[driven] = q, qd
-        qpos, qvel = np.empty((total + 1, len(self.pieces))), np.empty((total + 1, len(self.pieces)))
-        rows = np.empty((len(command_time), self.num_joints))
-        stops = sorted({*range(0, total + 1, per_row), *range(0, total + 1, window)})
-        for i, end in zip(stops, [*stops[1:], total], strict=True):
-            if restart is not None and i and i % window == 0:
-                self._restart(restart[0], time[i])
-            qpos[i], qvel[i] = data.qpos, data.qvel
-            if i % per_row == 0:
-                rows[i // per_row] = policy(i // per_row, time[i], joint_of @ qpos[i], joint_of @ qvel[i])
-            after = slice(i + 1, end + 1)
-            with kept_warnings(self.mujoco):  # of what is thrown off, and NaN from there on
-                qpos[after], qvel[after] = self._advance(i, time[i:end], rows[i // per_row])
-            diverged = np.flatnonzero(~(np.abs(qvel[i : end + 1]).max(1) < MAX_JOINT_SPEED))
-            if len(diverged):
-                first = i + diverged[0]
-                qpos[first:], qvel[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
-                break
-        points, heading = self.seen(time, qpos)
-        moved = qpos @ joint_of.T, qvel @ joint_of.T
-        return Trajectory(time, *moved, points, heading, np.asarray(command_time), rows)
-
     def _longest_step(self, replayed: bool) -> float:
-        """Of a run, s; ``replayed`` says that it is taken back to another one's path again and again."""
         smooth = not self._step_hooks and not self.model.dof_frictionloss.any()
         return MAX_REPLAY_STEP if replayed and smooth and self.dimensions == 3 else MAX_STEP
 
-    def _advance(self, first: int, time: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,)."""
-        model, data, count = self.model, self.data, len(time)
-        ctrl = np.tile(command, (count, 1))
-        for s in range(count if self._command_hooks else 0):
+    def _advance(
+        self, first: int, time: np.ndarray, step: float, row: np.ndarray, lasts: float, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        model, data = self.model, self.data
+        if first == 0:
+            model.opt.timestep = step
+            self.mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = q, qd
+        ctrl = np.tile(row, (len(time), 1))
+        for s in range(len(time) if self._command_hooks else 0):
             for change in self._command_hooks:
-                ctrl[s] = change(first + s, model.opt.timestep, ctrl[s])
+                ctrl[s] = change(first + s, step, ctrl[s])
         if first == 0 and model.na:
             data.act[:] = ctrl[0][model.actuator_dyntype != self.mujoco.mjtDyn.mjDYN_NONE]
+        with kept_warnings(self.mujoco):  # of what is thrown off, and NaN from there on
+            return self._stepped(time, ctrl)
+
+    def _stepped(self, time: np.ndarray, ctrl: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same, by controls (n, K)."""
+        model, data, count = self.model, self.data, len(time)
         qpos, qvel = np.empty((count, model.nq)), np.empty((count, model.nv))
         if not self._step_hooks:
             # All at once, without Python between the steps; from where the constraints' solver was.
@@ -218,15 +185,9 @@ class World(ChangeableBody):
             qpos[s], qvel[s] = data.qpos, data.qvel
         return qpos, qvel
 
-    def _restart(self, true: Trajectory, t: float) -> None:
-        for s, piece in enumerate(self.pieces):
-            for state, given in ((self.data.qpos, true.q), (self.data.qvel, true.qd)):
-                state[s] = np.interp(t, true.time, given[:, piece.joint]) if piece.actuated else 0.0
-
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """MuJoCo's own inverse dynamics: torques (N, S), N·m, of motions (N, S); passive forces are subtracted."""
-        if self.model is None:
-            self.compile()
+        self.ready()
         torque = np.empty_like(q)
         for i in range(len(q)):
             self.data.qpos[:], self.data.qvel[:], self.data.qacc[:] = q[i], qd[i], qdd[i]
@@ -236,8 +197,7 @@ class World(ChangeableBody):
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """The inertia matrix, kg·m² (S, S), at a posture (S,)."""
-        if self.model is None:
-            self.compile()
+        self.ready()
         self.data.qpos[:] = q
         self.mujoco.mj_forward(self.model, self.data)
         full = np.zeros((self.model.nv, self.model.nv))

@@ -1,12 +1,13 @@
-"""What mechanisms change of a body before an engine compiles it: its pieces, its gravity, and how its base moves.
+"""What mechanisms change of a body before an engine compiles it, and how a run of it goes in any engine.
 
 Angles and velocities are the body's, of each hinge in the order of the pieces. Shapes: K joints, S ≥ K pieces, N steps,
-P sites, d dimensions. SI units, radians.
+C command rows, P sites, d dimensions. SI units, radians.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,8 @@ def even_steps(command_time: np.ndarray, longest: float) -> tuple[int, float, np
     return each, interval / each, command_time[0] + interval / each * np.arange(rows * each + 1)
 
 
-class ChangeableBody:
-    """A body open to mechanisms. `links` are the pieces that have the links' sites.
+class ChangeableBody(ABC):
+    """A body open to mechanisms until its first run. `links` are the pieces that have the links' sites.
 
     Raises ValueError for joints that are no hinges.
     """
@@ -62,6 +63,29 @@ class ChangeableBody:
         self.pieces = pieces_of(body)
         self.links = tuple(self.pieces)
         self.base_shift: Callable[[np.ndarray], np.ndarray] | None = None  # t (N,) → displacement (N, d)
+        self.model: Any = None
+
+    @abstractmethod
+    def compile(self) -> None:
+        """Build the engine's `model`; later changes by mechanisms do nothing."""
+
+    @abstractmethod
+    def _longest_step(self, replayed: bool) -> float:
+        """Of a run, s; ``replayed`` says that it is taken back to another one's path again and again."""
+
+    @abstractmethod
+    def _advance(
+        self, first: int, time: np.ndarray, step: float, row: np.ndarray, lasts: float, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Angles and velocities (n, S) after each of n steps from step `first` on, which begin at `time` (n,).
+
+        The command `row` (K,) is a new one that `lasts` so many seconds, or goes on where these are 0.
+        """
+
+    def ready(self) -> None:
+        """Compile, unless that was done."""
+        if self.model is None:
+            self.compile()
 
     @property
     def possible(self) -> bool:
@@ -129,6 +153,57 @@ class ChangeableBody:
         """Hang a weight on a hinge of its own at the last tip."""
         last, far = self.links[-1], np.array([length, 0.0, 0.0])
         self.pieces.append(Piece("hung", last, last.tip, mass, far, inertia * np.eye(3)))
+
+    def run(
+        self,
+        command_time: np.ndarray,
+        policy: Policy,
+        q: Sequence[float] | np.ndarray,
+        qd: Sequence[float] | np.ndarray,
+        restart: tuple[Trajectory, float] | None = None,
+    ) -> Trajectory:
+        """Simulate from the first to the last of the evenly spaced `command_time` (C,).
+
+        The command of row c acts from its time to the next row's. `restart` = (trajectory, period s): take q and qd
+        from that trajectory again after every period, which keeps a replay from running away.
+        A run that diverges is NaN from there on.
+        """
+        self.ready()
+        per_row, step, time = even_steps(command_time, self._longest_step(restart is not None))
+        total = len(time) - 1
+        window = total + 1 if restart is None else max(1, round(restart[1] / step))
+        joint_of = np.array([[p.joint == k for p in self.pieces] for k in range(self.num_joints)], dtype=float)
+        path, speed = np.full((2, total + 1, len(self.pieces)), np.nan)
+        rows = np.full((len(command_time), self.num_joints), np.nan)
+        path[0], speed[0] = self._of_hinges(q), self._of_hinges(qd)
+        stops = sorted({*range(0, total + 1, per_row), *range(0, total + 1, window)})
+        for i, end in zip(stops, [*stops[1:], total], strict=True):
+            if restart is not None and i and i % window == 0:
+                true = restart[0]
+                path[i], speed[i] = (
+                    self._of_hinges([np.interp(time[i], true.time, each) for each in of.T]) for of in (true.q, true.qd)
+                )
+            lasts = 0.0 if i % per_row else per_row * step
+            if lasts:
+                rows[i // per_row] = policy(i // per_row, time[i], joint_of @ path[i], joint_of @ speed[i])
+            after = slice(i + 1, end + 1)
+            path[after], speed[after] = self._advance(
+                i, time[i:end], step, rows[i // per_row], lasts, path[i], speed[i]
+            )
+            diverged = np.flatnonzero(~(np.abs(speed[i : end + 1]).max(1) < MAX_JOINT_SPEED))
+            if len(diverged):
+                first = i + diverged[0]
+                path[first:], speed[first:], rows[-(-first // per_row) :] = np.nan, np.nan, np.nan
+                break
+        points, heading = self.seen(time, path)
+        moved = path @ joint_of.T, speed @ joint_of.T
+        return Trajectory(time, *moved, points, heading, np.asarray(command_time), rows)
+
+    def _of_hinges(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Values (K,) of joints at their motors' hinges (S,), 0 at the others."""
+        whole = np.zeros(len(self.pieces))
+        whole[[self.hinge(k) for k in range(self.num_joints)]] = values
+        return whole
 
     def seen(self, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Base and sites (N+1, P+1, d) at angles (N+1, S) of hinges, and the headings (N+1, P) of what has sites."""

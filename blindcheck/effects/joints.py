@@ -158,11 +158,27 @@ def _joint_limit(rng: np.random.Generator, s: Scene, k: int, a: float) -> dict:
 
 
 @mechanism(units={"angle": "rad", "stiffness": "N·m/rad", "damping": "N·m·s/rad", "side": "1"}, size=_joint_limit)
-def joint_limit(world: World, joint: int, angle: float, stiffness: float, damping: float, side: float) -> None:
-    """A spring-damper past θ_lim (side +1: above it, −1: below) that pushes and never pulls."""
+def joint_limit(
+    world: World,
+    joint: int,
+    angle: float,
+    stiffness: float,
+    side: float,
+    damping: float | None = None,
+    loss: float = 0.0,
+) -> None:
+    """A spring-damper past θ_lim (side +1: above it, −1: below) that pushes and never pulls.
+
+    Its loss e, s/rad, grows with the depth where it has no damper, k x (1 + 3/2 e ẋ) (Hunt & Crossley, J. Appl. Mech.
+    1975).
+    """
 
     def torque(t: float, q: np.ndarray, qd: np.ndarray) -> float:
-        depth = side * (q[joint] - angle)
-        return -side * max(0.0, stiffness * depth + damping * side * qd[joint]) if depth > 0 else 0.0
+        depth, closing = side * (q[joint] - angle), side * qd[joint]
+        if depth <= 0:
+            return 0.0
+        lost = 1.5 * loss * stiffness * depth if damping is None else damping
+        return -side * max(0.0, stiffness * depth + lost * closing)
 
     world.law(joint, torque)
+    world.resolve(lambda mobility: 2 * np.sqrt(stiffness * mobility[joint]))

@@ -31,21 +31,23 @@ def actuator_gain(world: World, joint: int, gain: float) -> None:
     size=lambda rng, s, k, a: {"delay": a * np.clip(rng.uniform(0.01, 0.05) / natural_hz(s), 0.005, 0.05)},
 )
 def actuator_delay(world: World, joint: int, delay: float) -> None:
-    """u(t − T), as a ring buffer of the steps' commands; before the first, the first."""
-    ring: deque[float] = deque()
+    """u(t − T), of the last commands by interpolation; before the first, the first.
 
-    def change(i: int, step: float, u: np.ndarray) -> np.ndarray:
-        if i == 0:
-            ring.clear()
-        ring.append(u[joint])
-        whole, part = divmod(delay / step, 1.0)
-        if len(ring) > whole + 2:
-            ring.popleft()
-        # the mean over the step of the constant commands: a delay need not be a multiple of the step
-        late = [ring[max(len(ring) - 1 - int(whole) - back, 0)] for back in (0, 1)]
-        return np.where(np.arange(len(u)) == joint, (1 - part) * late[0] + part * late[1], u)
+    Of delay/interval = n + f, (1 − f) u[c − n] + f u[c − n − 1]: the interval is the engine's, a step's or a row's.
+    """
+    late: deque[float] = deque()
 
-    world.on_command(change)
+    def of(u: float, interval: float, first: bool) -> float:
+        if first:
+            late.clear()
+        late.append(u)
+        whole, part = divmod(delay / interval, 1.0)
+        while len(late) > whole + 2:
+            late.popleft()
+        newer, older = (late[max(len(late) - 1 - int(whole) - back, 0)] for back in (0, 1))
+        return (1 - part) * newer + part * older
+
+    world.drive(joint, of)
 
 
 @mechanism(
@@ -82,9 +84,10 @@ def actuator_saturation(world: World, joint: int, limit: float) -> None:
     needs=("command",),
     size=lambda rng, s, k, a: {"width": a * rng.uniform(0.02, 0.06) * s.peak[k]},
 )
-def actuator_deadzone(world: World, joint: int, width: float) -> None:
-    """Of the command u, u − clip(u, ±d)."""
-    world.on_command(lambda i, step, u: np.where(np.arange(len(u)) == joint, u - np.clip(u, -width, width), u))
+def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0) -> None:
+    """Of the command u, u − clip(u, ±d); or softly so, u − d tanh(u/d)."""
+    inner = (lambda u: width * np.tanh(u / width)) if soft else (lambda u: min(max(u, -width), width))
+    world.drive(joint, lambda u, interval, first: u - inner(u))
 
 
 @mechanism(

@@ -2,13 +2,10 @@
 
 backlash      a gear that is slack over its width and springs beyond, with a rotor of its own share of the inertia
 bending       a sprung hinge anywhere in the middle fifth of a link, or two of them at its thirds
-delay         between two rows by interpolation: of delay/interval = n + f,  (1 − f) u[c − n] + f u[c − n − 1]
 saturation    hard, or round: u / (1 + |u/u_max|^p)^(1/p)
-dead zone     sharp, or u − d tanh(u/d)
 a push        constant, or as a half wave
 """
 
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -35,24 +32,6 @@ def actuator_gain(world: World, joint: int, gain: float) -> None:
 
 
 @form()
-def actuator_delay(world: World, joint: int, delay: float) -> None:
-    """A delay between rows, by interpolation; before the first row, the first."""
-    late: deque[float] = deque()
-
-    def of(u: float, interval: float, first: bool) -> float:
-        if first:
-            late.clear()
-        whole, part = divmod(delay / interval, 1.0)
-        late.append(u)
-        while len(late) > whole + 2:
-            late.popleft()
-        newer, older = (late[max(len(late) - 1 - int(whole) - back, 0)] for back in (0, 1))
-        return (1 - part) * newer + part * older
-
-    world.drive(joint, of)
-
-
-@form()
 def actuator_lag(world: World, joint: int, time_constant: float) -> None:
     """T u̇_f + u_f = u, settled at first."""
     world.lags[joint] = time_constant
@@ -66,16 +45,6 @@ def actuator_saturation(world: World, joint: int, limit: float, sharpness: float
         if sharpness is None:
             return min(max(u, -limit), limit)
         return u / (1 + abs(u / limit) ** sharpness) ** (1 / sharpness)
-
-    world.drive(joint, of)
-
-
-@form(lambda rng, s, k, p: p if rng.random() < 0.5 else p | {"soft": 1.0})
-def actuator_deadzone(world: World, joint: int, width: float, soft: float = 0.0) -> None:
-    """Of the command what exceeds ±width; or softly so."""
-
-    def of(u: float, interval: float, first: bool) -> float:
-        return u - width * np.tanh(u / width) if soft else u - min(max(u, -width), width)
 
     world.drive(joint, of)
 

@@ -26,10 +26,9 @@ class Dynamics(ChangeableBody):
         self.pin = _pinocchio()
         super().__init__(body)
         self.rotors: dict[int, float] = {}  # joint → kg·m² in addition to the links'
-        self.model: Any = None
 
     def compile(self) -> None:
-        """Build Pinocchio's model; later changes by mechanisms do nothing."""
+        """Build Pinocchio's model."""
         pin = self.pin
         model = pin.Model()
         numbers: dict[Piece | None, int] = {None: 0}
@@ -46,11 +45,6 @@ class Dynamics(ChangeableBody):
         model.armature = own
         self.model, self.data = model, model.createData()
         self.at = [self.hinge(k) for k in range(self.num_joints)]
-
-    def ready(self) -> None:
-        """Compile, unless that was done."""
-        if self.model is None:
-            self.compile()
 
     def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Torques (N, S), N·m, of motions (N, S); mechanisms' forces are left out."""

@@ -53,7 +53,16 @@ def _outliers(rng: np.random.Generator, s: Scene, place: int, p: dict) -> dict:
     return p if rng.random() < 0.5 else {key: v for key, v in p.items() if key != "scale"} | {"within": 1.2 * s.reach}
 
 
+def _limit(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
+    if rng.random() < 0.5:
+        return p
+    del p["damping"]
+    return p | {"loss": float(rng.uniform(0.05, 0.4) / s.speed[k])}
+
+
 DRAWS.update(
+    joint_limit=_limit,
+    actuator_deadzone=lambda rng, s, k, p: p if rng.random() < 0.5 else p | {"soft": 1.0},
     soft_tissue=lambda rng, s, k, p: {"kappa": p["kappa"], "damping_ratio": float(rng.uniform(0.7, 1.5))},
     lens_distortion=_lens,
     timestamp_jitter=lambda rng, s, place, p: p if rng.random() < 0.5 else p | {"uniform": 1.0},

@@ -2,7 +2,6 @@
 
 dry frictions     hard (`simulator.World.dry`), or smoothed, L tanh(|q̇|/creep)
 Stribeck          exp(−(q̇/ω)²), or 1/(1 + (q̇/ω½)²) (Hess & Soom, J. Tribol. 1990), half way at the same speed
-stops             a spring and a damper, or k x (1 + 3/2 e ẋ) (Hunt & Crossley, J. Appl. Mech. 1975)
 drift             −(b₀ + slope t) q̇, or b₀ + rise (1 − exp(−t/T)): a gear that warms up or runs dry
 """
 
@@ -76,38 +75,6 @@ def joint_coupling(world: World, joint: int, stiffness: float, ratio: float, res
 
     world.law(joint, lambda t, q, qd: pull(q))
     world.law(joint - 1, lambda t, q, qd: -ratio * pull(q))
-
-
-def _limit(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:
-    if rng.random() < 0.5:
-        return p
-    del p["damping"]
-    return p | {"loss": float(rng.uniform(0.05, 0.4) / s.speed[k])}
-
-
-@form(_limit)
-def joint_limit(
-    world: World,
-    joint: int,
-    angle: float,
-    stiffness: float,
-    side: float,
-    damping: float | None = None,
-    loss: float = 0.0,
-) -> None:
-    """A stop that pushes and never pulls; its loss e, s/rad, grows with the depth where it has no damper."""
-
-    def torque(t: float, q: np.ndarray, v: np.ndarray) -> float:
-        depth, closing = side * (q[joint] - angle), side * v[joint]
-        if depth <= 0:
-            return 0.0
-        push = (
-            stiffness * depth * (1 + 1.5 * loss * closing) if damping is None else stiffness * depth + damping * closing
-        )
-        return -side * max(0.0, push)
-
-    world.law(joint, torque)
-    world.resolve(lambda mobility: 2 * np.sqrt(stiffness * mobility[joint]))
 
 
 def _drift(rng: np.random.Generator, s: Scene, k: int, p: dict) -> dict:

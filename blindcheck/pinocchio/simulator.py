@@ -11,12 +11,11 @@ mobility. Several joints take turns (Gauss–Seidel).
 Shapes: K joints, S ≥ K hinges, N steps, C command rows. SI units, radians.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from invdyn.blindcheck.pinocchio.dynamics import Dynamics
-from invdyn.blindcheck.world import MAX_JOINT_SPEED, Policy, Trajectory, even_steps
 from invdyn.models import Body
 
 MAX_STEP = 2e-3  # s
@@ -87,53 +86,27 @@ class World(Dynamics):
         self._dry.append((joint, level, creep))
 
     def compile(self) -> None:
-        """Build Pinocchio's model and choose the step; later changes by mechanisms do nothing."""
+        """Build the model, and choose the step."""
         super().compile()
         longest = [MAX_STEP, MAX_SWING_FRACTION / self.fastest_swing(), *([MAX_DRY_STEP] if self._dry else [])]
         mobility = self.mobility()
         self._longest = min([*longest, *(MAX_CHANGE_PER_STEP / max(rate(mobility), 1e-9) for rate in self._rates)])
 
-    def run(
-        self,
-        command_time: np.ndarray,
-        policy: Policy,
-        q: Sequence[float] | np.ndarray,
-        qd: Sequence[float] | np.ndarray,
-        restart: tuple[Trajectory, float] | None = None,
-    ) -> Trajectory:
-        """Simulate from the first to the last of the evenly spaced `command_time` (C,), as `simulator.World.run`."""
-        self.ready()
-        per_row, h, time = even_steps(command_time, self._longest)
-        total = len(time) - 1
-        window = total + 1 if restart is None else max(1, round(restart[1] / h))
-        at = self.at
-        path, speed = np.full((2, total + 1, len(self.pieces)), np.nan)
-        given = np.full((len(command_time), self.num_joints), np.nan)
-        self._lagged, motor = {}, np.zeros(len(self.pieces))
-        x, v = self._state(q, qd)
-        with np.errstate(all="ignore"):  # a run that diverges overflows before it is stopped
-            for i in range(total + 1):
-                if restart is not None and i and i % window == 0:
-                    true = restart[0]
-                    states = (
-                        [np.interp(time[i], true.time, each) for each in given_.T] for given_ in (true.q, true.qd)
-                    )
-                    x, v = self._state(*states)
-                if not np.abs(v).max() < MAX_JOINT_SPEED:
-                    break
-                path[i], speed[i] = x, v
-                if i % per_row == 0:
-                    given[i // per_row] = policy(i // per_row, time[i], x[at], v[at])
-                    motor[at] = self._wanted = self._driven(given[i // per_row], per_row * h, i == 0)
-                if i < total:
-                    x, v = self._advance(time[i], h, x, v, motor)
-        points, heading = self.seen(time, path)
-        return Trajectory(time, path[:, at], speed[:, at], points, heading, np.asarray(command_time), given)
+    def _longest_step(self, replayed: bool) -> float:
+        return self._longest
 
-    def _state(self, q: Sequence[float] | np.ndarray, qd: Sequence[float] | np.ndarray) -> tuple[np.ndarray, ...]:
-        x, v = np.zeros(len(self.pieces)), np.zeros(len(self.pieces))
-        x[self.at], v[self.at] = q, qd
-        return x, v
+    def _advance(
+        self, first: int, time: np.ndarray, step: float, row: np.ndarray, lasts: float, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        path, speed = np.empty((2, len(time), len(q)))
+        if first == 0:
+            self._lagged, self._motor = {}, np.zeros(len(q))
+        if lasts:
+            self._motor[self.at] = self._wanted = self._driven(row, lasts, first == 0)
+        with np.errstate(all="ignore"):  # a run that diverges overflows before it is stopped
+            for n, t in enumerate(time):
+                path[n], speed[n] = q, qd = self._step(t, step, q, qd, self._motor)
+        return path, speed
 
     def _driven(self, row: np.ndarray, interval: float, first: bool) -> np.ndarray:
         """What the motors give in a row, (K,); where a drive lags, what it tends to."""
@@ -144,7 +117,7 @@ class World(Dynamics):
             self._lagged.setdefault(joint, u[joint])  # settled at first
         return u
 
-    def _advance(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _step(self, t: float, h: float, x: np.ndarray, v: np.ndarray, motor: np.ndarray) -> tuple[np.ndarray, ...]:
         for joint, lag in self.lags.items():  # the mean over the step of an exponential approach
             gap, share = self._lagged[joint] - self._wanted[joint], -np.expm1(-h / lag)
             motor[self.at[joint]] = self._wanted[joint] + gap * share * lag / h
