@@ -6,6 +6,7 @@ interval. Cases without a diagnosis count as wrong in all of them.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import pandas as pd
 
@@ -124,22 +125,18 @@ def _single(verdicts: Sequence[Verdict], targets: Mapping[str, str]) -> list[Mea
     return [Measure(**{**asdict(m), "target": targets.get(m.name, "")}) for m in found if m.n]
 
 
-def _commanded(verdicts: Sequence[Verdict]) -> list[Measure]:
-    targets = {
-        "a gap is detected": "≥ 0.97",
-        "probability on the true cause (FIA)": "≥ 0.85",
-        "first answer right, exactly": "≥ 0.85",
-        "first answer right, by ambiguity set": "≥ 0.95",
-        "side right": "≥ 0.98",
-        "joint right (two joints or more)": "≥ 0.95",
-        "true parameters in 90 % intervals": "0.85–0.95",
-        "share of the gap closed": "≥ 0.95",
-    }
-    return _single(verdicts, targets)
-
-
-def _passive(verdicts: Sequence[Verdict]) -> list[Measure]:
-    return _single(verdicts, {"first answer right, by ambiguity set": "≥ 0.90"})
+COMMANDED = {
+    "a gap is detected": "≥ 0.97",
+    "probability on the true cause (FIA)": "≥ 0.85",
+    "first answer right, exactly": "≥ 0.85",
+    "first answer right, by ambiguity set": "≥ 0.95",
+    "side right": "≥ 0.98",
+    "joint right (two joints or more)": "≥ 0.95",
+    "true parameters in 90 % intervals": "0.85–0.95",
+    "share of the gap closed": "≥ 0.95",
+}
+PASSIVE = {"first answer right, by ambiguity set": "≥ 0.90"}
+"""Targets of cases with one effect."""
 
 
 def _weak(verdicts: Sequence[Verdict]) -> list[Measure]:
@@ -210,9 +207,9 @@ def _overall(verdicts: Sequence[Verdict]) -> list[Measure]:
 
 
 FIGURES: dict[str, Callable[[Sequence[Verdict]], list[Measure]]] = {
-    "commanded": _commanded,
+    "commanded": partial(_single, targets=COMMANDED),
     "none": _none,
-    "passive": _passive,
+    "passive": partial(_single, targets=PASSIVE),
     "weak": _weak,
     "two": _two,
     "unknown_torque": _unknown_torque,

@@ -164,11 +164,6 @@ class TorqueFit:
         return Explained(float(np.sqrt(missed.mean() + penalty)), by_joint, values, by_joint * unit, required, penalty)
 
 
-def explain(dynamics: Dynamics, body: Any, motion: Motion, offsets: Sequence[int] = ()) -> Explained:
-    """:meth:`TorqueFit.explain` of one motion alone."""
-    return TorqueFit(dynamics, body).explain(motion, offsets)
-
-
 def _bounded(r: np.ndarray, target: np.ndarray, links: int, free: int) -> np.ndarray:
     """The x (P,) within bounds that is nearest to ``r x = target``, of a triangular ``r`` (P, P).
 

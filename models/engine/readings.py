@@ -6,7 +6,7 @@ s is what ``sensordata`` holds in a state, with the drive of that row. A sensor 
 "imu_0", "imu_1", "imu_2".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
 from invdyn.models.engine.scene import Scene
-from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.sensor import NamedSensor
 from invdyn.models.observation.view import View
 
 
@@ -27,15 +27,15 @@ class EngineView(View):
 
 
 @dataclass(frozen=True)
-class Readings(NoisySensor):
+class Readings(NamedSensor):
     """Sensors of the file, by name; all of them by default. The columns are known once :meth:`bound`."""
 
     sensors: tuple[str, ...] | None = None
     columns: tuple[int, ...] = field(default=())
-    names: tuple[str, ...] = field(default=())
 
     name: ClassVar[str] = "sensor"
     unit: ClassVar[str] = "1"
+    dim: ClassVar[str] = "reading"
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The sensors of a scene; raises ValueError for a body of another kind, or a sensor that it does not have."""
@@ -51,16 +51,6 @@ class Readings(NoisySensor):
             columns += range(first, first + size)
             names += [name] if size == 1 else [f"{name}_{k}" for k in range(size)]
         return replace(self, sensors=tuple(wanted), columns=tuple(columns), names=tuple(names))
-
-    @property
-    def shape(self) -> tuple[int]:
-        """(n,)."""
-        return (len(self.names),)
-
-    @property
-    def coords(self) -> dict[str, Sequence[str]]:
-        """Columns."""
-        return {"reading": self.names}
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """A hundredth of the sensor's own unit."""

@@ -3,8 +3,8 @@
 y_k ~ F(θ_k, σ_k),     σ_k = "emission.angle_scale" (K,), rad
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from invdyn.models.bodies.protocol import ArticulatedBody
-from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.sensor import NamedSensor
 from invdyn.models.observation.view import View
 
 DEFAULT_NOISE, MIN_NOISE, MAX_NOISE = 1e-3, 1e-5, 0.1
@@ -20,27 +20,16 @@ DEFAULT_NOISE, MIN_NOISE, MAX_NOISE = 1e-3, 1e-5, 0.1
 
 
 @dataclass(frozen=True)
-class Encoders(NoisySensor):
-    """One at each joint; ``names`` are the joints', known once :meth:`bound`."""
-
-    names: tuple[str, ...] = field(default=())
+class Encoders(NamedSensor):
+    """One at each joint; ``names`` are the joints'."""
 
     name: ClassVar[str] = "angle"
     unit: ClassVar[str] = "rad"
+    dim: ClassVar[str] = "joint"
 
     def bound(self, body: ArticulatedBody) -> Self:
         """The encoders of ``body``."""
         return replace(self, names=tuple(body.joint_names))
-
-    @property
-    def shape(self) -> tuple[int]:
-        """(K,)."""
-        return (len(self.names),)
-
-    @property
-    def coords(self) -> dict[str, Sequence[str]]:
-        """Joints."""
-        return {"joint": self.names}
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """A milliradian."""

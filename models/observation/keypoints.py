@@ -21,7 +21,7 @@ from torch import Tensor
 from invdyn.models.bodies.protocol import AXES, ArticulatedBody, axes
 from invdyn.models.observation.confidence import DEFAULT_DROP, DEFAULT_SLOPE, Confidence
 from invdyn.models.observation.mixture import MistakenRows
-from invdyn.models.observation.sensor import NoisySensor
+from invdyn.models.observation.sensor import NamedSensor, NoisySensor
 from invdyn.models.observation.view import Outlier, Shift, Swap, View
 
 MIN_NOISE, MAX_NOISE = 1e-5, 0.3
@@ -149,29 +149,18 @@ class Keypoints(NoisySensor):
 
 
 @dataclass(frozen=True)
-class BasePoint(NoisySensor):
-    """Of a body in the plane or a tree; ``along`` are its axes, known once :meth:`bound`."""
-
-    along: tuple[str, ...] = ()
+class BasePoint(NamedSensor):
+    """Of a body in the plane or a tree; ``names`` are those of its axes."""
 
     name: ClassVar[str] = "base_position"
     unit: ClassVar[str] = "length"
+    dim: ClassVar[str] = "space"
 
     def bound(self, body: ArticulatedBody) -> Self:
         """On a body, whose first joint has a place. Raises ValueError for a body of another kind."""
         if not {"base", "position"} & {*type(body.parameters())._fields}:
             raise ValueError(f"expected a chain in the plane or a tree, whose first joint has a place: '{body.name}'")
-        return replace(self, along=tuple(axes(body)))
-
-    @property
-    def shape(self) -> tuple[int]:
-        """(d,)."""
-        return (len(self.along),)
-
-    @property
-    def coords(self) -> dict[str, Sequence[str]]:
-        """Axes of space."""
-        return {"space": self.along}
+        return replace(self, names=tuple(axes(body)))
 
     def defaults(self, reach: float) -> dict[str, Tensor]:
         """Noise of a fiftieth of the reach."""
@@ -186,7 +175,7 @@ class BasePoint(NoisySensor):
         place = first_joint(view.body)
         loc = place if view.base is None else place + view.base[0]
         scale = parameters["emission.base_scale"]
-        return loc, scale.expand(*scale.shape[:-1], len(self.along))
+        return loc, scale.expand(*scale.shape[:-1], len(self.names))
 
 
 def first_joint(numbers: Any) -> Tensor:

@@ -13,6 +13,7 @@ Shapes: n entries of the sensor; P·d of P keypoints in d dimensions, for exampl
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -111,6 +112,25 @@ class NoisySensor(ABC):
     def started(self, jitter: np.ndarray, reach: float) -> dict[str, np.ndarray]:
         """None."""
         return {}
+
+
+@dataclass(frozen=True)
+class NamedSensor(NoisySensor):
+    """Base of those with one entry for each of their ``names`` along ``dim``, known once :meth:`Sensor.bound`."""
+
+    names: tuple[str, ...] = field(default=(), kw_only=True)
+
+    dim: ClassVar[str]
+
+    @property
+    def shape(self) -> tuple[int]:
+        """(n,)."""
+        return (len(self.names),)
+
+    @property
+    def coords(self) -> dict[str, Sequence[str]]:
+        """The names."""
+        return {self.dim: self.names}
 
 
 def size(sensor: Sensor) -> int:

@@ -9,7 +9,6 @@ from invdyn.blindcheck.effects import EFFECTS
 from invdyn.blindcheck.engine import MUJOCO, PINOCCHIO
 from invdyn.blindcheck.motion import random_plan
 from invdyn.blindcheck.scene import scene
-from invdyn.blindcheck.world import ChangeableBody
 from invdyn.models import Link, planar_body
 
 pytest.importorskip("mujoco")  # yardsticks of the names test
@@ -144,7 +143,7 @@ def test_backlash_is_slack_and_then_springs():
 @pytest.mark.parametrize("inertia", [0.9 * 0.3**2 / 12, 0.3 * 0.9 * 0.3**2 / 12])
 def test_a_link_that_is_cut_is_the_link_while_straight(ends, inertia):
     body = planar_body("arm", [Link("upper", "shoulder", "elbow", 0.3, 0.9, 0.13, inertia), ARM.links[1]])
-    world = ChangeableBody(body)
+    world = PINOCCHIO.world(body)
     pieces, carried = world.cut_link(0, ends), world.links[1]
     starts = np.cumsum([piece.position[0] for piece in pieces])
     masses = np.array([piece.mass for piece in pieces])
