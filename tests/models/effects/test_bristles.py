@@ -11,7 +11,7 @@ from invdyn.models.effects import CoulombFriction, LinkFlexibility, LoadFriction
 from invdyn.models.effects.regularised_friction import BristleFriction
 
 STRIBECK = {"coulomb": 0.3, "static": 0.6, "velocity": 1.0}
-ROWS, STEP = 301, 0.01
+ROWS, STEP = 151, 0.01
 
 
 def pushed():
