@@ -23,7 +23,7 @@ GOOD = {
 
 
 def test_what_we_write_ourselves_can_be_judged():
-    found = diagnose(recorded(DAMPING), PENDULUM, without=[name for name in EFFECTS if name != FRICTION.name])
+    found = diagnose(recorded(DAMPING, rows=40), PENDULUM, without=[name for name in EFFECTS if name != FRICTION.name])
     assert found.causes
     assert unreadable(json.loads(json.dumps(found.to_json()))) is None
 

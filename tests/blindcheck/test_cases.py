@@ -21,16 +21,17 @@ from invdyn.recordings import read_keypoint_csv
 
 pytest.importorskip("mujoco")
 QUICK = {
-    "commanded": ["joint_coupling", "external_push", "clock_rate"],
-    "passive": ["payload", "label_swap"],
+    "commanded": ["joint_coupling", "clock_rate"],
+    "passive": ["payload"],
     "none": [None],
     "weak": ["actuator_lag"],
-    "two": [("backlash", "camera_roll"), ("inertial_error", "keypoint_offset")],
-    "unknown_torque": ["viscous_friction", "camera_scale"],
+    "two": [("inertial_error", "keypoint_offset")],
+    "unknown_torque": ["viscous_friction"],
     "outside": ["detent"],
-    "leave_one_out": ["joint_limit", "gravity_tilt"],
+    "leave_one_out": ["gravity_tilt"],
     "as_real": [("joint_stiffness",)],
 }
+"""Each kind of case once, by effects of all sorts; all effects of every kind are asked by the slow test below."""
 
 
 def check(case, kind, folder):
@@ -81,7 +82,6 @@ def check_robot(case, read):
     assert all(each["parameters"] for each in case.answer["everywhere"])
 
 
-@pytest.mark.quick("[!t]*", "two-effect8")
 @pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind in KINDS for effect in QUICK[kind]])
 def test_a_case_is_whole(kind, effect, tmp_path, hasty):
     check(make_case(7, kind, effect), kind, tmp_path)
@@ -137,6 +137,8 @@ def test_commands_may_run_faster_than_the_camera(hasty):
         assert np.isfinite(recording.torques).all()
         with_points = np.isfinite(recording.keypoints).any(axis=(1, 2)).mean()
         seen.add("faster" if with_points < 0.6 else "alike")
+        if len(seen) == 2:
+            break
     assert seen == {"faster", "alike"}
 
 

@@ -20,7 +20,7 @@ WIDTH = "effect.backlash.elbow.width"
 @cache
 def with_play(*widths):
     """An arm whose elbow has play of that width, rad, or of each of those."""
-    arm = random_arm(ARM, duration=3.0, fps=100, torque_scale=0.5, commanded=True, seed=1)
+    arm = random_arm(ARM, duration=1.5, fps=100, torque_scale=0.5, commanded=True, seed=1)
     shape = (1,) if len(widths) == 1 else (-1, 1, 1)
     value = torch.tensor(widths, dtype=torch.float64).reshape(shape)
     return arm.with_effects(EFFECTS["backlash"]("elbow")).replace(**{WIDTH: value})
@@ -96,7 +96,7 @@ def test_many_sets_are_each_by_itself():
 
 def test_many_sets_whose_gaps_seldom_meet_a_stop_are_settled():
     """Some thousand rows, in which a change would travel farther than there are passes without slopes."""
-    arm = random_arm(load_body("paper_planar_arm"), duration=3.0, fps=100, commanded=True, seed=0)
+    arm = random_arm(load_body("paper_planar_arm"), duration=2.0, fps=100, commanded=True, seed=0)
     widths = torch.tensor([0.06, 0.1, 0.2] * 3, dtype=torch.float64).reshape(-1, 1, 1)
     model = arm.with_effects(EFFECTS["backlash"]("elbow")).replace(**{WIDTH: widths})
     torch.manual_seed(0)

@@ -76,13 +76,13 @@ def candidates(rows):
 
 
 def test_offsets_make_the_mixtures_evidence(rows, candidates):
-    """Every set's own evidence plus its offset is the evidence of the mixture, to the error of 600 draws."""
+    """Every set's own evidence plus its offset is the evidence of the mixture, to the error of 240 draws."""
     torch.manual_seed(0)
-    sets = parameter_draws(candidates, rows, 200)
+    sets = parameter_draws(candidates, rows, 80)
     found = [gauss_newton(each.model, rows).log_evidence.item() + each.offset for each in sets]
     wanted = np.logaddexp(*(exact(rows.squeeze(-1).numpy(), noise)[0] for noise in NOISES)) - np.log(2)
     np.testing.assert_allclose(found, found[0], atol=1e-6)
-    assert found[0] == pytest.approx(wanted, abs=0.1)
+    assert found[0] == pytest.approx(wanted, abs=0.15)
 
 
 def test_models_and_parameters_are_in_proportion(rows, candidates):

@@ -102,7 +102,7 @@ def test_particle_gibbs_takes_the_guide_that_pilots_chose(model, low, high):
 
 def nuts_of_last_state(model, y):
     """Mean and sd of the last state by NUTS, and what its draws are worth."""
-    idata = infer_states(model, y, method="nuts", seed=1, num_filters=20, num_draws=8, chains=2, warmup=40)
+    idata = infer_states(model, y, method="nuts", seed=1, num_filters=20, num_draws=8, chains=2, warmup=30)
     assert idata["sample_stats"].attrs["r_hat"] < 1.1
     draws = idata["posterior"]["state"].values[:, :, -1, 0]
     return draws.mean(), draws.std(), min(idata["sample_stats"].attrs["ess_bulk"], draws.size)
@@ -112,7 +112,7 @@ def nuts_of_last_state(model, y):
 @pytest.mark.parametrize("kind", [Counts, HeavyTailed, Multiplicative, Switches, Volatility])
 def test_nuts_samples_any_model_with_a_gradient(kind):
     """Dynamics that are not Gaussian, too, or whose noise depends on the state; the last state is that of a grid."""
-    model = kind(6)
+    model = kind(4)
     y = model.simulate(seed=2)[1]
     mean, sd, size = nuts_of_last_state(model, y)
     assert size > 20

@@ -109,10 +109,11 @@ def test_the_start_waits_for_a_row_that_shows_something(chain, y):
     assert [each.t for each in found] == list(range(5, ROWS))
 
 
+@pytest.mark.quick("0.002")
 @pytest.mark.parametrize("noise", [0.002, 0.02])
 def test_an_arm_is_as_its_smoother_has_it(noise):
     """Up to linearisation: a tenth of a standard deviation in the median, of a smoother given rows up to t + L."""
-    model = arm(60, noise)
+    model = arm(45, noise)
     torch.manual_seed(3)
     y = model.simulate()[1]
     _, found = run(model, y, 5)

@@ -62,8 +62,8 @@ def test_the_walk_adapts_to_the_acceptance(result):
 @pytest.mark.parametrize("name", ["volatility", "counts"])
 def test_it_agrees_with_smc2(name):
     model, y = simulated(name, rows=12)
-    walk = pmmh(model, y, num_chains=40, num_warmup=80, num_draws=80, num_particles=30, paths=False)
-    runs = smc2(model, y, num_draws=200, num_particles=30, num_runs=5, paths=False)
+    walk = pmmh(model, y, num_chains=40, num_warmup=60, num_draws=40, num_particles=30, paths=False)
+    runs = smc2(model, y, num_draws=100, num_particles=30, num_runs=5, paths=False)
     assert walk.paths is None
     assert abs(walk.log_evidence - runs.log_evidence) < 3 * np.hypot(walk.log_evidence_sd, runs.log_evidence_sd)
     for parameter, draws in walk.draws.items():

@@ -11,7 +11,7 @@ from carried import Carried, person
 from invdyn.inference import infer, infer_kinematics, pooled
 from invdyn.inference.posterior.base_motion import base_motion, hold_base
 from invdyn.inference.posterior.initialise import arm_problem
-from invdyn.models import Body
+from invdyn.models import Body, OrnsteinUhlenbeck
 from invdyn.recordings import InputError, Recording
 
 TIME = np.arange(90) / 30
@@ -160,7 +160,7 @@ def falling():
 def test_an_arm_that_falls_freely_needs_no_torque(method):
     """MuJoCo lets it fall; as on a base at rest its shoulder would hold .3 of 3.6 kg m against gravity."""
     body, recording = falling()
-    found = infer(recording, body, method=method, num_filters=8, num_particles=50, seed=1)
+    found = infer(recording, body, method=method, num_filters=8, num_particles=50, seed=1, torque=OrnsteinUhlenbeck())
     torque = pooled(found)["torque"].transpose("sample", "time", "joint").values
     low, middle, high = np.quantile(torque, [0.05, 0.5, 0.95], axis=0)
     if method != "differentiate":  # which gives one path, and has no figure for the ends of it
@@ -180,7 +180,10 @@ def test_particle_filters_agree_with_the_gaussian_smoother():
     """Their evidence, of a model whose arm alone is not linear, and their torques."""
     body, walking = arm_on(np.stack([1.3 * TIME, 0.03 * np.cos(4 * np.pi * TIME)], -1)[:90])
     short = walking.select(0, 30)
-    found = {m: infer(short, body, method=m, num_filters=16, num_particles=60, seed=0) for m in ("laplace", "smc")}
+    found = {
+        m: infer(short, body, method=m, num_filters=16, num_particles=60, seed=0, torque=OrnsteinUhlenbeck())
+        for m in ("laplace", "smc")
+    }
     one, other = (found[m].attrs["log_evidence"] for m in ("laplace", "smc"))
     assert one == pytest.approx(other, abs=2.0)
     means = [pooled(each)["torque"].mean("sample").values for each in found.values()]

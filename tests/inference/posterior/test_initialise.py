@@ -8,7 +8,7 @@ import torch
 
 from invdyn.inference import infer
 from invdyn.inference.posterior.initialise import SUBSTEPS, arm_problem, confidence_drop, sufficient_substeps
-from invdyn.models import ArmModel, Keypoints, Link, Observation, planar_body
+from invdyn.models import ArmModel, Keypoints, Link, Observation, OrnsteinUhlenbeck, planar_body
 from invdyn.models.articulated.start import joint_angle_sd
 from invdyn.simulate import random_arm, record
 
@@ -72,7 +72,7 @@ def test_a_models_times_count_from_the_first_row():
     np.testing.assert_allclose(problem.model.time.numpy(), recording.time, atol=5e-7)
     np.testing.assert_allclose(problem.truth.torque, truth.torque, atol=1e-4 * np.abs(truth.torque).max())
 
-    options = {"method": "smc", "num_filters": 2, "num_particles": 50, "seed": 0}
+    options = {"method": "smc", "num_filters": 2, "num_particles": 50, "seed": 0, "torque": OrnsteinUhlenbeck()}
     there, here = infer(stamped, body, **options), infer(recording, body, **options)
     np.testing.assert_array_equal(there["posterior"]["time"], stamped.time)
     for name in ("torque", "angle"):

@@ -55,19 +55,19 @@ def test_a_rod_that_bends_anywhere_is_two_rods():
 
 def test_a_flexible_rod_swings_at_its_mode(having):
     """A free hinge and a spring: ψ at ω² = k (M⁻¹)_ψψ, M of the straight chain; momentum about the joint stays."""
-    model = having(rod(401, STEP), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
+    model = having(rod(161, STEP), LinkFlexibility("link"), stiffness=8.0, damping=0.0)
     path = rolled(model, [1e-4, 0.0], [0.0], [0.0])
     m, l = 0.75, 0.15  # halves: uniform rods
     inner, outer = m * l**2 / 3, m * l**2 / 3
     M = np.array([[inner + m * l**2 + outer + m * l * l, outer + m * l * l / 2], [0.0, outer]])
     M[1, 0] = M[0, 1]
     omega = math.sqrt(8.0 * np.linalg.inv(M)[1, 1])
-    assert path[:, 0] == pytest.approx(1e-4 * np.cos(omega * 0.0025 * np.arange(401)), abs=2e-6)
+    assert path[:, 0] == pytest.approx(1e-4 * np.cos(omega * 0.0025 * np.arange(161)), abs=2e-6)
     assert M[0, 0] * path[:, 3] + M[0, 1] * path[:, 1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_damped_flexible_rod_loses_energy_and_only_it(having):
-    ideal = rod(401, STEP, (0.0, -9.81))
+    ideal = rod(201, STEP, (0.0, -9.81))
     effect = LinkFlexibility("link").bound(ideal.body)
     body, whole = ideal.body_parameters(), planar_dynamics(2)
     links = effect.chain({}, body)
@@ -130,7 +130,7 @@ def halves(rows, step):
 )
 def test_what_pulls_at_a_link_bends_it(effect, other, values, having):
     """A flexible rod is two halves with a spring between them, whatever pulls at them."""
-    rows, step = 201, 0.0025
+    rows, step = 101, 0.0025
     whole = having(
         having(rod(rows, step, (0.0, -9.81)), LinkFlexibility("link"), stiffness=8.0, damping=0.0), effect, **values
     )
@@ -170,7 +170,7 @@ def test_the_gap_stays_within_its_stops_and_turns_over_with_the_load(pushed):
 
 def test_a_push_on_a_loose_link_leaves_the_rotor_where_it_is(having):
     """ψ̇ = J l / I, I the link's inertia about the joint but for the rotor's share."""
-    model = having(rod(81, STEP), Backlash("hinge"), width=1.0)
+    model = having(rod(41, STEP), Backlash("hinge"), width=1.0)
     values = {"impulse_x": 0.0, "impulse_y": 0.01, "moment": 0.05, "duration": 0.04}
     path = rolled(having(model, ExternalPush("tip"), **values), [0.0, 0.0], [0.0], [0.0])
     rotor = 0.5 * 1.5 * 0.3**2 / 12
@@ -178,7 +178,7 @@ def test_a_push_on_a_loose_link_leaves_the_rotor_where_it_is(having):
     assert path[-1, 1] == pytest.approx(0.01 * 0.3 / (1.5 * 0.3**2 / 3 - rotor), rel=1e-3)
 
 
-@pytest.mark.parametrize("step", [0.002, 0.0173, 0.05])
+@pytest.mark.parametrize("step", [0.005, 0.0173, 0.05])
 def test_an_impact_within_a_step_moves_no_centre_of_inertia(step, having):
     """Rotor J catches up with its link I and takes it along: J θ_rotor + I θ_link moves as the torque says."""
     width, level, rotor, total = 0.1, 0.2, 0.5 * 1.5 * 0.3**2 / 12, 1.5 * 0.3**2 / 3

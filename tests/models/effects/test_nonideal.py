@@ -117,8 +117,8 @@ def test_two_joints_settle_as_shorter_sub_steps_have_it(arm):
 @pytest.mark.parametrize("level", [0.3, 0.8])
 def test_mujocos_default_friction_is_the_regularised_one(level, having):
     """A rod swings, comes to rest and creeps: thirty times as near to it as under the ideal law."""
-    theirs = in_mujoco(f'frictionloss="{level}"', 0.5, 0.0, rows=300)
-    ideal = rod(rows=300, step=0.01, gravity=(0.0, -9.81))
+    theirs = in_mujoco(f'frictionloss="{level}"', 0.5, 0.0, rows=180)
+    ideal = rod(rows=180, step=0.01, gravity=(0.0, -9.81))
     mine, _ = rolled(having(ideal, CoulombFriction("hinge"), torque=level), [0.5], [0.0])
     soft, _ = rolled(having(ideal, nonideal(CoulombFriction("hinge")), torque=level, **RUBBING), [0.5], [0.0])
     far, near = (np.abs(q[:, 0] - theirs).max() for q in (mine, soft))
@@ -145,15 +145,15 @@ def test_mujocos_default_stop_is_the_regularised_one(having):
 @pytest.mark.parametrize(("side", "sign"), [("upper", 1.0), ("lower", -1.0)])
 def test_a_steady_torque_presses_a_regularised_stop_in_by_its_softness(side, sign, having):
     """e = R τ / k; that from which its search begins is as deep as the ideal one, τ / k."""
-    command = torch.full((301, 1), sign * 2.0, dtype=F64)
-    model, stop = rod(rows=301, command=command), JointLimit("hinge", side)
+    command = torch.full((241, 1), sign * 2.0, dtype=F64)
+    model, stop = rod(rows=241, command=command), JointLimit("hinge", side)
     given = {"angle": sign * 0.5, "stiffness": 40.0, "damping": 2.0}
     for effect, values, depth in (
         (nonideal(stop), {**given, "softness": 0.1}, 0.1 * 2.0 / 40.0),
         (nonideal(stop), CATALOGUE.of(stop).start(nonideal(stop), given), 2.0 / 40.0),
         (stop, given, 2.0 / 40.0),
     ):
-        q, _ = rolled(having(model, effect, **values), [0.0], [0.0])
+        q, _ = rolled(having(model, effect, **values), [sign * 0.5], [0.0])
         assert q[-1, 0] == pytest.approx(sign * (0.5 + depth), abs=1e-5)
 
 
