@@ -1,11 +1,10 @@
-"""Numbers of the body that are not known exactly, which every cause leaves free: by kind of body.
+"""Numbers of the body that are not known exactly, which every cause leaves free.
 
 A body states priors of its numbers, or relative standard deviations. Entries of a number are counted flat: link 2's com
 along y, of a number (L, 3), is entry 7.
 """
 
 from dataclasses import dataclass
-from functools import singledispatch
 
 from pyro.distributions import Distribution
 
@@ -45,19 +44,12 @@ class Uncertain:
         return f"body.{self.quantity}.{self.link}"
 
 
-@singledispatch
 def uncertain_numbers(body: ArticulatedBody) -> tuple[Uncertain, ...]:
     """The body's numbers that it states an uncertainty or a prior of, and what is as uncertain because they are.
 
-    None of a body of another kind.
+    Those are priors of its scalars, numbers that it calls uncertain, and joints' own; none of a body of another kind.
     """
-    return ()
-
-
-@uncertain_numbers.register
-def _(body: Body) -> tuple[Uncertain, ...]:
-    """Priors of its scalars, numbers that it calls uncertain, and joints' own numbers."""
-    return tuple(_of_links(body) + _of_joints(body))
+    return (*_of_links(body), *_of_joints(body)) if isinstance(body, Body) else ()
 
 
 def _of_links(body: Body) -> list[Uncertain]:

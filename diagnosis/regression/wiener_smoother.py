@@ -7,8 +7,9 @@ Solin 2019, ch. 12; its mean is the quintic smoothing spline of Wahba 1978):
 
     Q_ij = h^{5−i−j} / ((2−i)! (2−j)! (5−i−j)),   i, j = 0, 1, 2
 
-The ratio s/r is the most probable one of a grid, r follows from the innovations. Then come the backward means and
-covariances of Rauch, Tung & Striebel (1965). All joints, and all ratios, pass in one recursion.
+The ratio s/r is the most probable one of a grid, r follows from the innovations of a Kalman filter, through which all
+joints and all ratios pass at once. Means and covariances given all rows come from square roots
+(:mod:`invdyn.inference.smoothing.square_root`), as the start says next to nothing.
 
 Shapes: T rows, K joints, G ratios. Units: rad, s.
 """
@@ -20,6 +21,7 @@ from math import factorial
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
+from invdyn.inference.smoothing.square_root import backward, forward_covariance, forward_mean
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,12 @@ def smooth(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[SmoothedA
     step = float(np.median(np.diff(time)))
     rough = 10.0 ** np.arange(*FIXED.roughness_decades) / step**2.5
     ratio, noise = _most_likely(time, angle, rough[:, None] * np.ones(angle.shape[1]))
-    return [backward_pass(time, angle, ratio, noise) for time, angle in stretches]
+    return [smoothed(time, angle, ratio, noise) for time, angle in stretches]
 
 
 def _most_likely(time: np.ndarray, angle: np.ndarray, ratios: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The ratio s/r and the noise r, each (K,), of the highest likelihood among ``ratios`` (G, K)."""
-    *_, innovation, variance = forward_pass(time, angle, ratios, keep=False)
+    innovation, variance = _innovations(time, angle, ratios)
     seen = np.isfinite(innovation)
     count = seen.sum(0) - 3
     square = np.where(seen, innovation**2 / variance, 0.0)[3:].sum(0) / count
@@ -70,40 +72,36 @@ def transitions(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return A, Q
 
 
-def forward_pass(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, keep: bool = True) -> tuple[np.ndarray, ...]:
-    """Means and covariances of the filter and of its predictions, in units of r; innovations and their variances.
+def start(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (K, 3) and covariance (3, 3), in units of r, of a start that says nothing.
 
-    ``ratio`` (…, K). Lists of (T, …, K, 3) and (T, …, K, 3, 3); the first two are of length 0 unless kept.
+    That is any angle of the range, and rates that cross it in a few rows.
     """
-    A, Q = transitions(time)
     h = float(np.median(np.diff(time)))
     spread = max(float(np.nanmax(np.abs(angle - np.nanmean(angle, 0)), initial=0.0)), 1e-9)
-    shape = ratio.shape
-    first = np.where(np.isfinite(angle[0]), angle[0], np.nanmean(angle, 0))
-    mean = np.zeros((*shape, 3))
-    mean[..., 0] = first
-    # a start that says nothing: any angle of the range, and rates that cross it in a few rows
-    prior = np.diag([spread**2, (spread / h) ** 2, (spread / h**2) ** 2]) * 1e2 / _floor(angle) ** 2
-    covariance = np.broadcast_to(prior, (*shape, 3, 3)).copy()
+    mean = np.zeros((angle.shape[1], 3))
+    mean[:, 0] = np.where(np.isfinite(angle[0]), angle[0], np.nanmean(angle, 0))
+    return mean, np.diag([spread**2, (spread / h) ** 2, (spread / h**2) ** 2]) * 1e2 / _floor(angle) ** 2
+
+
+def _innovations(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations of the filter and their variances, (T, …, K), in units of r; ``ratio`` (…, K)."""
+    A, Q = transitions(time)
+    first, prior = start(time, angle)
+    mean = np.broadcast_to(first, (*ratio.shape, 3))
+    covariance = np.broadcast_to(prior, (*ratio.shape, 3, 3))
     square = (ratio**2)[..., None, None]
-    kept: list[list[np.ndarray]] = [[], [], [], []]
-    innovations, variances = np.empty((len(time), *shape)), np.empty((len(time), *shape))
+    innovations, variances = np.empty((2, len(time), *ratio.shape))
     for t in range(len(time)):
         if t:
             a = A[t - 1]
             mean, covariance = mean @ a.T, a @ covariance @ a.T + square * Q[t - 1]
-        if keep:
-            kept[2].append(mean)
-            kept[3].append(covariance)
         e, v = angle[t] - mean[..., 0], covariance[..., 0, 0] + 1.0
         gain = covariance[..., 0] / v[..., None] * np.isfinite(e)[..., None]
         mean = mean + gain * np.nan_to_num(e)[..., None]
         covariance = covariance - gain[..., :, None] * covariance[..., None, 0, :]
-        if keep:
-            kept[0].append(mean)
-            kept[1].append(covariance)
         innovations[t], variances[t] = e, v
-    return (*(np.array(each) for each in kept), innovations, variances)
+    return innovations, variances
 
 
 def _floor(angle: np.ndarray) -> float:
@@ -113,17 +111,17 @@ def _floor(angle: np.ndarray) -> float:
     return float(np.median(moved)) / 100 if moved.size else 1e-9
 
 
-def backward_pass(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, noise: np.ndarray) -> SmoothedAngles:
-    """The backward pass of a stretch."""
-    A, _ = transitions(time)
-    mean, covariance, ahead, ahead_covariance, *_ = forward_pass(time, angle, ratio)
-    for t in range(len(time) - 2, -1, -1):
-        # G = P Aᵀ (P⁻)⁻¹, of symmetric matrices, scaled to a unit diagonal against rounding
-        root = np.sqrt(np.einsum("kii->ki", ahead_covariance[t + 1]))
-        even = ahead_covariance[t + 1] / (root[:, :, None] * root[:, None, :])
-        cross = (A[t] @ covariance[t]) / root[:, :, None]
-        gain = np.swapaxes(np.linalg.solve(even, cross) / root[:, :, None], 1, 2)
-        mean[t] += np.einsum("kij,kj->ki", gain, mean[t + 1] - ahead[t + 1])
-        change = covariance[t + 1] - ahead_covariance[t + 1]
-        covariance[t] += gain @ change @ np.swapaxes(gain, 1, 2)
+def smoothed(time: np.ndarray, angle: np.ndarray, ratio: np.ndarray, noise: np.ndarray) -> SmoothedAngles:
+    """A stretch given all of its rows, by a ``ratio`` and a ``noise`` of each joint, (K,)."""
+    A, Q = transitions(time)
+    first, prior = start(time, angle)
+    joints, rows = angle.shape[::-1]
+    roots = np.concatenate([prior[None] ** 0.5, np.linalg.cholesky(Q)]) * np.ones((joints, 1, 1, 1))
+    roots[:, 1:] *= ratio[:, None, None, None]
+    seen = np.isfinite(angle.T)
+    shown = seen[..., None, None] * np.eye(3)[:1]
+    onward = np.broadcast_to(A, (joints, *A.shape))
+    still = np.zeros((joints, rows - 1, 3))
+    factors = backward(onward, still, roots, shown, np.where(seen, angle.T, 0.0)[..., None], first)
+    mean, covariance = (each.swapaxes(0, 1) for each in (forward_mean(factors, first), forward_covariance(factors)))
     return SmoothedAngles(time, mean, covariance * noise[:, None, None] ** 2, noise)

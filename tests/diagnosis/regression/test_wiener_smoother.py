@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from invdyn.diagnosis.regression.wiener_smoother import backward_pass, forward_pass, smooth, transitions
+from invdyn.diagnosis.regression.wiener_smoother import smooth, smoothed, start, transitions
 
 
 def test_it_is_the_gaussian_of_all_rows():
@@ -13,13 +13,13 @@ def test_it_is_the_gaussian_of_all_rows():
     angle = rng.standard_normal((9, 1))
     angle[4] = np.nan
     ratio, noise = np.array([30.0]), np.array([0.2])
-    found = backward_pass(time, angle, ratio, noise)
+    found = smoothed(time, angle, ratio, noise)
     A, Q = transitions(time)
-    _, _, ahead, spread, *_ = forward_pass(time, angle, ratio)
+    ahead, spread = start(time, angle)
     precision, linear = np.zeros((27, 27)), np.zeros(27)
-    first = np.linalg.inv(spread[0, 0] * noise**2)
+    first = np.linalg.inv(spread * noise**2)
     precision[:3, :3] += first
-    linear[:3] += first @ ahead[0, 0]
+    linear[:3] += first @ ahead[0]
     for t in range(8):
         own = np.linalg.inv(Q[t] * (ratio * noise) ** 2)
         here, there = slice(3 * t, 3 * t + 3), slice(3 * t + 3, 3 * t + 6)
