@@ -203,14 +203,8 @@ class Corrected(Controlled):
     def _drawn(self, t: int | Tensor, prediction: Tensor, root: Tensor) -> tuple[Particles, Tensor]:
         noise = torch.randn_like(prediction)
         w = prediction @ self._w_gain[t] + noise @ self._w_root[t] + self._w_offset[t]
-        particles = {"x": self.path[t] + prediction + _times(w, root)}
         log_ratio = 0.5 * (noise.square() - w.square()).sum(-1) + self._log_det[t]
-        if t + 1 < self.num_steps:
-            particles["prediction"] = self._prediction(t + 1, particles["x"])
-            particles["log_twist"] = self._integral(t + 1, particles["prediction"])
-        else:
-            particles["log_twist"] = torch.zeros_like(log_ratio)
-        return particles, log_ratio
+        return self.at(t, self.path[t] + prediction + _times(w, root)), log_ratio
 
     def conditional(self, t: int | Tensor, state: Tensor) -> Distribution:
         """q(x_t | x_{t−1} = state)."""
