@@ -12,6 +12,7 @@ reference. Shapes: qpos (B, nq), reference (nq,) or (B, nq), δ (B, nv); quatern
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ class Chart:
         out = np.broadcast_to(reference, (*tangent.shape[:-1], self.num_qpos)).copy()
         out[..., self.plain_qpos] += tangent[..., self.plain_dof]
         for q, v in zip(self.quaternions, self.rotations, strict=True):
-            out[..., q : q + 4] = product(out[..., q : q + 4], exponential(tangent[..., v : v + 3]))
+            turn = tangent[..., v : v + 3]
+            turned = rotations(out[..., q : q + 4]) * Rotation.from_rotvec(np.nan_to_num(turn))
+            out[..., q : q + 4] = np.roll(turned.as_quat(), 1, -1) + 0 * turn[..., :1]  # NaN stays NaN
         return out
 
     def tangent(self, reference: np.ndarray, configuration: np.ndarray) -> np.ndarray:
@@ -56,34 +59,12 @@ class Chart:
         out = np.empty((*configuration.shape[:-1], self.num_dofs))
         out[..., self.plain_dof] = configuration[..., self.plain_qpos] - reference[..., self.plain_qpos]
         for q, v in zip(self.quaternions, self.rotations, strict=True):
-            inverse = reference[..., q : q + 4] * np.array([1.0, -1.0, -1.0, -1.0])
-            out[..., v : v + 3] = logarithm(product(inverse, configuration[..., q : q + 4]))
+            turn = rotations(reference[..., q : q + 4]).inv() * rotations(configuration[..., q : q + 4])
+            out[..., v : v + 3] = turn.as_rotvec() + 0 * configuration[..., q : q + 1]
         return out
 
 
-def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Hamilton's product of quaternions (…, 4)."""
-    a, b, c, d = np.moveaxis(one, -1, 0)
-    e, f, g, h = np.moveaxis(other, -1, 0)
-    parts = (
-        a * e - b * f - c * g - d * h,
-        a * f + b * e + c * h - d * g,
-        a * g - b * h + c * e + d * f,
-        a * h + b * g - c * f + d * e,
-    )
-    return np.stack(parts, -1)
-
-
-def exponential(rotation: np.ndarray) -> np.ndarray:
-    """Quaternions (…, 4) of rotation vectors (…, 3), rad."""
-    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
-    # np.sinc(x) = sin πx / πx is regular at 0.
-    return np.concatenate([np.cos(angle / 2), rotation / 2 * np.sinc(angle / (2 * np.pi))], -1)
-
-
-def logarithm(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation vectors (…, 3), rad, of at most half a turn, of quaternions (…, 4)."""
-    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(sine, quaternion[..., :1])
-    return quaternion[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+def rotations(quaternions: np.ndarray) -> Rotation:
+    """Of quaternions (…, 4), w first; the identity where they are no numbers."""
+    known = np.isfinite(quaternions).all(-1, keepdims=True)
+    return Rotation.from_quat(np.where(known, np.roll(quaternions, -1, -1), [0.0, 0.0, 0.0, 1.0]))

@@ -38,6 +38,7 @@ from invdyn.models.engine.readings import EngineView, Readings
 from invdyn.models.engine.scene import Scene
 from invdyn.models.engine.simulator import Simulator, unique_steps
 from invdyn.models.engine.typical_forces import typical_forces
+from invdyn.models.engine.warp import WarpSimulator
 from invdyn.models.observation.encoders import Encoders
 from invdyn.models.observation.keypoints import Keypoints
 from invdyn.models.observation.observation import Observation
@@ -64,6 +65,7 @@ class EngineModel(StateSpaceModel):
             degrees of freedom. And "noise.activation", "initial.activation", "initial.activation_scale" (na,).
         given: inputs that are known, in addition to the drive: what a robot was commanded.
         threads: of the simulations; all cores by default. Results do not depend on it.
+        warp: device of MuJoCo Warp that takes the steps in float32, "cuda" or "cpu"; MuJoCo itself by default.
 
     Raises BodyError for a model that cannot be used, ValueError for times that do not increase, sensors or parameters
     that do not fit, UnknownParameter for a parameter that it does not have.
@@ -82,6 +84,7 @@ class EngineModel(StateSpaceModel):
         parameters: Mapping[str, Value] | None = None,
         given: Given | None = None,
         threads: int | None = None,
+        warp: str | None = None,
     ):
         self.scene = scene = scene if isinstance(scene, Scene) else Scene.of(scene)
         observation = observation or Observation(Keypoints(range(len(scene.keypoint_names))))
@@ -100,7 +103,7 @@ class EngineModel(StateSpaceModel):
         self.state_dim = self.torque_size + 2 * self.nv + self.na
         self.observation_dim = self.observation.size
         self.nonsmooth = scene.nonsmooth
-        self.threads = threads
+        self.threads, self.warp = threads, warp
         self.relaxation = 0.0
         self._memo = Memo()
         self._which, self._steps = unique_steps(self.timeline.dt.numpy(), float(scene.model.opt.timestep))
@@ -139,6 +142,8 @@ class EngineModel(StateSpaceModel):
     @cached_property
     def simulator(self) -> Simulator:
         """Steps the model."""
+        if self.warp is not None:
+            return WarpSimulator(self.compiled(), self.inputs.spec, self.warp)
         return Simulator(self.compiled(), self.inputs.spec, self.threads)
 
     @cached_property

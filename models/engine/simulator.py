@@ -43,23 +43,21 @@ class Simulator:
         self.model, self.control_spec = model, int(control_spec)
         self.num_controls = mujoco.mj_stateSize(model, self.control_spec)
         self.threads = threads or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(1))
-        self._pool: Any = None
-        self._data: list[Any] = []
-        self._timed: dict[float, Any] = {}
+        self._kept: dict[Any, Any] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_pool": None, "_data": [], "_timed": {}}  # threads stay where they are
+        return vars(self) | {"_kept": {}}  # threads stay where they are
 
     def __deepcopy__(self, memo: dict) -> "Simulator":
         return self  # nothing of it changes
 
     def _at(self, timestep: float) -> Any:
         """The model with that time step, s."""
-        if timestep not in self._timed:
+        if timestep not in self._kept:
             model = copy.copy(self.model)
             model.opt.timestep = timestep
-            self._timed[timestep] = model
-        return self._timed[timestep]
+            self._kept[timestep] = model
+        return self._kept[timestep]
 
     def run(
         self, physics: np.ndarray, controls: np.ndarray, timestep: float, all_states: bool = False
@@ -68,13 +66,6 @@ class Simulator:
 
         States that ran away are NaN from there on.
         """
-        from mujoco import rollout
-
-        if self._pool is None:
-            import mujoco
-
-            self._pool = rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
-            self._data = [mujoco.MjData(self.model) for _ in range(self.threads)]
         model, (count, steps, _) = self._at(timestep), controls.shape
         width = steps * (physics.shape[-1] + 1 + model.nsensordata)
         ends, sensed = [], []
@@ -94,14 +85,19 @@ class Simulator:
         self, model: Any, begin: np.ndarray, controls: np.ndarray, steps: int
     ) -> tuple[np.ndarray, np.ndarray]:
         import mujoco
+        from mujoco import rollout
 
+        if "threads" not in self._kept:
+            pool = rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
+            self._kept["threads"] = pool, [mujoco.MjData(self.model) for _ in range(self.threads)]
+        pool, data = self._kept["threads"]
         controls = np.ascontiguousarray(np.nan_to_num(controls))
         state = np.empty((len(begin), steps, begin.shape[-1]))
         sensors = np.empty((len(begin), steps, model.nsensordata))
         with kept_warnings(mujoco):
-            self._pool.rollout(
+            pool.rollout(
                 [model] * len(begin),
-                self._data,
+                data,
                 begin,
                 controls,
                 control_spec=self.control_spec,
