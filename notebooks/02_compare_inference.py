@@ -73,7 +73,7 @@ BODIES = files("invdyn.models") / "bodies"
 # minutes, so they are left out. Add them to the list if you can wait.)
 
 # %%
-ROWS = 30
+ROWS = 20
 body = Body.from_toml(BODIES / "paper_planar_arm.toml")
 recording, truth = record(paper_arm(body), seed=4)
 recording, truth = recording.select(0, ROWS), truth.at(recording.time[:ROWS])
@@ -190,7 +190,7 @@ for name, values in ranks.items():
 # %%
 arm = Body.from_toml(BODIES / "human_arm_on_table.toml")
 try:
-    film = load_recording("human-arm", arm, scale="body").select(50, 110)
+    film = load_recording("human-arm", arm, scale="body").select(50, 90)
 except InputError as error:
     film = None
     print(f"The recording cannot be had here, so what follows is skipped: {error}")

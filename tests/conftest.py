@@ -8,6 +8,7 @@ from pathlib import Path
 import pyro
 import pytest
 import torch
+from browsing import chromium
 from hypothesis import settings
 from stand_in import human_arm
 
@@ -76,6 +77,13 @@ def _seeded():
     torch.set_num_threads(1)
     torch.manual_seed(0)
     pyro.clear_param_store()
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A headless Chromium for all pages; `opened` sets its width."""
+    with chromium(tmp_path_factory.mktemp("chromium")) as window:
+        yield window
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ SAME = ServoGains(np.ones(2))
 class Motion:
     """Sums of sines (T, 2), exactly."""
 
-    def __init__(self, seed, seconds=12.0):
+    def __init__(self, seed, seconds=6.0):
         rng = np.random.default_rng(seed)
         self.time = np.arange(0, seconds, 1 / RATE)
         w = 2 * np.pi * rng.uniform(0.15, 1.2, (5, 2))
@@ -40,7 +40,7 @@ class Motion:
         self.qdd = -(a * w**2 * np.sin(angle)).sum(1)
 
 
-def recorded(seed, extra, body=BODY, noise=3e-4, torque_noise=0.05, seconds=12.0):
+def recorded(seed, extra, body=BODY, noise=3e-4, torque_noise=0.05, seconds=6.0):
     """A recording of a body along such a motion with ``extra(motion)`` N·m besides."""
     motion = Motion(seed, seconds)
     rng = np.random.default_rng(seed + 1000)

@@ -109,6 +109,7 @@ def test_seconds_end_it_by_the_clock():
     assert next(ticks) < 10**4
 
 
+@pytest.mark.quick("2")
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_stopped_diagnosis_is_told(workers):
     """Whatever listens stays in this process: it may be nothing that can be sent to another."""

@@ -270,6 +270,8 @@ def test_simulate_infer_plot_end_to_end(folder, run):
         4,
         "--particles",
         50,
+        "--torque",
+        "ornstein_uhlenbeck",
     ]
     outcome = run(*call, "--out", "p.nc", "--out", "f.png", "--seed", 1)
     assert outcome.exit_code == 0, outcome.output
@@ -311,7 +313,9 @@ def test_three_rows_are_enough_and_their_bands_wide(folder, run):
 @pytest.mark.filterwarnings("ignore:.*the last position was written again:UserWarning")  # the film repeats frames
 def test_a_known_recording_by_its_name(folder, run, with_human_arm):
     call = ("infer", "human-arm", "--body", "human_arm_on_table", "--scale", "body", "--frames", "50:80")
-    outcome = run(*call, "--filters", 4, "--particles", 50, "--out", "p.nc", "--out", "f.gif")
+    outcome = run(
+        *call, "--filters", 4, "--particles", 50, "--torque", "ornstein_uhlenbeck", "--out", "p.nc", "--out", "f.gif"
+    )
     assert outcome.exit_code == 0, outcome.output
     idata = invdyn.inference.load_posterior("p.nc")
     assert idata.posterior.sizes["time"] == 30

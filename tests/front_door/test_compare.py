@@ -12,7 +12,7 @@ from invdyn.inference import METHODS, load_posterior
 from invdyn.plots import METHOD_COLORS, plot_comparison, quantiles
 
 CALL = ("compare", "rec.csv", "--body", "arm.toml", "--out", "DIR")
-QUICK = ("--filters", 4, "--particles", 40, "--seed", 1)
+QUICK = ("--filters", 4, "--particles", 40, "--torque", "ornstein_uhlenbeck", "--seed", 1)
 
 
 def failing(problem, **_):

@@ -1,6 +1,6 @@
 """Files of others in bounded memory: a clear line or a reading, no traceback, nothing over budget, nothing left over.
 
-The inputs are those of `malformed.others`. A quick sample is read each time; 100, drawn by hypothesis, by
+The inputs are those of `malformed.others`. A quick sample is read each time; 60, drawn by hypothesis, by
 `pytest -m long`; 900 more by `pytest -m slow`.
 """
 
@@ -73,12 +73,13 @@ def test_each_input_once(tried, kind):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 10))])
 def test_drawn_inputs(tried, capsys, part):
+    tried_here = 100 if part else 60
     count = Counter()
     wrong = {}
     peak = 0
 
     @given(hostile=st.sampled_from(ALL), seed=st.integers(0, 2**32))
-    @settings(max_examples=100, database=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=tried_here, database=None, suppress_health_check=list(HealthCheck))
     def draw(hostile, seed):
         nonlocal peak
         found = tried(hostile, seed + part)
@@ -97,7 +98,7 @@ def test_drawn_inputs(tried, capsys, part):
             print(f"{kind:22}" + "".join(f"{count[kind, outcome]:13}" for outcome in (*outcomes, *others)))
         print(f"peak of memory {peak / 2**20:.0f} MiB")
     assert not wrong
-    assert sum(count[kind, "tried"] for kind in KINDS) >= 90
+    assert sum(count[kind, "tried"] for kind in KINDS) >= 0.9 * tried_here
 
 
 @pytest.mark.filterwarnings("default")

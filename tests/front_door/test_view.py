@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browsing import chromium, opened, requests
+from browsing import opened, requests
 from pendulum import diagnosed
 from reported import HOSTILE, diagnosis
 from viewed import cells, data_of, go, row, value
@@ -18,13 +18,6 @@ from invdyn.recordings import InputError
 from invdyn.view import MAX_ROWS, of_posterior, view_of
 
 WIDTHS = (1280, 390)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """A headless Chromium for this file."""
-    with chromium(tmp_path_factory.mktemp("chromium")) as window:
-        yield window
 
 
 @pytest.fixture

@@ -4,20 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from browsing import chromium, opened
+from browsing import opened
 from viewed import cells, data_of, go, value
 
 from invdyn.recordings import InputError
 from invdyn.view import view_of
 
 WIDTHS = (1280, 390)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """A headless Chromium for this file."""
-    with chromium(tmp_path_factory.mktemp("chromium")) as window:
-        yield window
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ if not hasattr(signal, "SIGKILL"):
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
 
-INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--set", "filters_per_task=2")
+INFER = ("infer", "rec.csv", "--body", "arm.toml", "--filters", 6, "--particles", 60, "--set", "filters_per_task=2",
+         "--torque", "ornstein_uhlenbeck")  # fmt: skip  # of one process the filters are tasks
 PROGRAM = (sys.executable, "-W", "ignore", "-m", "invdyn")
 DIES = (
     *PROGRAM[:3],
@@ -179,8 +180,7 @@ def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, comma
 @pytest.mark.long
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda stop: stop.name)
 def test_no_worker_is_left_behind(simulated, started, stop):
-    one = (*INFER, "--torque", "ornstein_uhlenbeck")  # whose filters are tasks
-    call = (*one, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
+    call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = started(*PROGRAM, *call, start_new_session=True, **pipes)
     wait_until(lambda: any(Path("kept").glob("smc/part-*/manifest.json")) or process.poll() is not None)

@@ -68,7 +68,7 @@ def test_an_effect_that_half_of_a_log_has_is_no_certainty():
     def late(m):
         return np.array([0.0, 0.5]) * np.sign(m.qd) * (m.time > 6.0)[:, None] + np.array([0.5, 0.0]) * np.sign(m.qd)
 
-    result = regress(recorded(4, late), BODY)
+    result = regress(recorded(4, late, seconds=12.0), BODY)
     own = {(e.effect, e.place): e.probability for e in (*result.numbers, *result.others)}
     assert own["coulomb_friction", "shoulder"] > 0.95
     assert 0.1 < own["coulomb_friction", "elbow"] < 0.9
@@ -117,7 +117,7 @@ def test_a_heavier_link_is_found_by_its_base_parameters():
 @pytest.mark.long
 def test_noise_in_encoders_biases_nothing():
     """Damping and dry friction over six recordings of much noise: on average within two standard errors, and 3 %."""
-    values = [regress(recorded(10 + n, friction, noise=3e-3, seconds=6.0), BODY) for n in range(6)]
+    values = [regress(recorded(10 + n, friction, noise=3e-3), BODY) for n in range(6)]
     for key, truth in {
         ("coulomb_friction", "shoulder", "torque"): 0.5,
         ("viscous_friction", "shoulder", "damping"): 0.3,
@@ -166,7 +166,7 @@ def test_a_torque_is_averaged_over_the_time_that_a_row_stands_for():
 
 def test_a_torque_that_is_missing_hides_its_own_rows_alone():
     """Of many in a row the rest are two stretches, as of a log with a gap."""
-    whole = recorded(0, friction, seconds=6.0)
+    whole = recorded(0, friction)
     times = []
     for rows in (slice(400, 401), slice(400, 500)):
         torques = whole.torques.copy()
@@ -178,7 +178,7 @@ def test_a_torque_that_is_missing_hides_its_own_rows_alone():
 
 
 def test_a_gap_begins_another_stretch():
-    whole = recorded(0, friction)
+    whole = recorded(0, friction, seconds=12.0)
     rows = (whole.time < 4) | (whole.time > 7)
     motion = measured_motion(whole.at(rows), BODY)
     assert set(motion.stretch) == {0, 1}
@@ -187,7 +187,7 @@ def test_a_gap_begins_another_stretch():
 
 def test_a_search_starts_where_effects_are_everywhere():
     """From all that is usual, friction with its sizes; from nothing where an effect is at one joint alone."""
-    friction_everywhere = recorded(0, friction, seconds=6.0)
+    friction_everywhere = recorded(0, friction)
     bound = diagnosis_problem(friction_everywhere, BODY)
     start = start_of(regress(friction_everywhere, BODY), bound)
     assert start.everywhere == {"viscous_friction", "coulomb_friction", "armature", "inertial_error"}
@@ -196,7 +196,7 @@ def test_a_search_starts_where_effects_are_everywhere():
     assert start.values["coulomb_friction.shoulder.torque"] == pytest.approx(0.5, rel=0.1)
     keys = {effect.key for effect in start.effects}
     assert {name.rpartition(".")[0] for name in start.values} == keys
-    one = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]), seconds=6.0)
+    one = recorded(2, lambda m: m.qdd * np.array([0.0, 0.06]))
     assert start_of(regress(one, BODY), bound).effects == ()
     assert start_of(None, bound).effects == ()
 
@@ -306,7 +306,7 @@ def test_rows_held_out_may_be_slower():
     slow = recorded(42, friction, seconds=8.0)
     names = ("time", "keypoints", "angles", "torques")
     slower = replace(slow, **{name: getattr(slow, name)[::8] for name in names})
-    assert regress(recorded(43, friction, seconds=6.0), BODY, held_out=slower).torque.share > 0.5
+    assert regress(recorded(43, friction), BODY, held_out=slower).torque.share > 0.5
 
 
 def test_a_joint_that_is_missing_at_first_does_not_mislead():

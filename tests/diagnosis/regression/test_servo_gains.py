@@ -42,12 +42,13 @@ def servo_log(seed, times, **options):
     parts = JointParts(damping=0.1, motor=motor)
     body = replace(BODY, links=tuple(replace(link, parts=parts) for link in BODY.links))
     plain = recorded(seed, friction, torque_noise=0.02, **options)
-    motion = Motion(seed, options.get("seconds", 12.0))
+    motion = Motion(seed, options.get("seconds", 6.0))
     # what the robot's servo gives moves it: 60 (c − q) − .4 q̇ − .1 q̇ = τ + friction
     target = halfway(motion, motion.q + (plain.torques + 0.5 * motion.qd) / 60.0)
     return replace(plain, torques=motor.gain * target), body
 
 
+@pytest.mark.quick("1.2", "40.0")
 @pytest.mark.parametrize("times", [1.0, 1.2, 40.0])
 def test_a_servos_gain_is_found_however_far_from_its_files(times):
     """All in the file's own units."""
@@ -75,7 +76,7 @@ def test_intervals_know_that_a_servos_gain_was_estimated():
     off = {"actuator_gain": [], "viscous_friction": []}
     truths = {"actuator_gain": (1 / 40 - 1,) * 2, "viscous_friction": (0.3, 0.1)}
     for seed in range(40, 46):
-        for each in regress(*servo_log(seed, 40.0, seconds=6.0)).numbers:
+        for each in regress(*servo_log(seed, 40.0)).numbers:
             if each.effect in off:
                 truth = truths[each.effect][BODY.joint_names.index(each.place)]
                 off[each.effect].append((each.value - truth) / each.sd)
@@ -177,7 +178,7 @@ def test_a_servos_gain_at_a_hinge_that_no_gravity_loads(times):
     motor = Motor("position", 60.0 * times, 60.0 * times, 0.4)
     plain = planar_body("one", [Link("upper", "shoulder", "elbow", 0.4, 1.5)], gravity=(0.0, 0.0))
     body = replace(plain, links=(replace(plain.links[0], parts=JointParts(damping=0.1, motor=motor)),))
-    motion = Motion(3, 6.0)
+    motion = Motion(3, 3.0)
     for name in ("q", "qd", "qdd"):
         setattr(motion, name, getattr(motion, name)[:, :1])
     given = inverse(dynamics_for(plain), plain.parameters(), motion) + 0.5 * motion.qd
@@ -204,7 +205,7 @@ def test_a_servos_gain_that_explains_less_than_the_files_is_dropped():
         return planar_body("arm", links, gravity=(0.0, 0.0))
 
     def log(seed, mix):
-        motion, rng = Motion(seed, 6.0), np.random.default_rng(seed)
+        motion, rng = Motion(seed), np.random.default_rng(seed)
         for name in ("q", "qd", "qdd"):
             setattr(motion, name, getattr(motion, name) @ mix)
         given = inverse(dynamics_for(body(1.6)), body(1.6).parameters(), motion)
@@ -232,7 +233,7 @@ def test_a_servo_that_the_log_does_not_show_is_like_most_others(true, expected):
 
 
 def test_a_joint_at_rest_in_the_longest_recording_has_no_frequency():
-    moving, body = servo_log(20, 40.0, seconds=6.0)
+    moving, body = servo_log(20, 40.0, seconds=3.0)
     longer, _ = servo_log(21, 40.0)
     resting = replace(longer, angles=longer.angles * [1.0, 0.0])
     assert resting.num_frames > moving.num_frames

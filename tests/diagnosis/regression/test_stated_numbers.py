@@ -29,7 +29,7 @@ from invdyn.models.dynamics.registry import dynamics_for
 
 def test_a_torque_that_is_not_looked_into_is_in_the_intervals():
     """Of 2 % of what the elbow needs, much like dry friction: it takes that for more of it."""
-    recording = recorded(20, lambda m: friction(m) + np.array([0.0, 0.02]) * np.tanh(m.qd / 0.2), seconds=6.0)
+    recording = recorded(20, lambda m: friction(m) + np.array([0.0, 0.02]) * np.tanh(m.qd / 0.2))
     for tolerance, inside in ((0.0, False), (0.03, True)):
         result = regress(recording, BODY, rules=DEFAULT.replace(tolerance=tolerance))
         low, high = found(result)["coulomb_friction", "elbow", "torque"].interval_90
@@ -45,7 +45,7 @@ def test_intervals_hold_the_truth():
     hits, off = [], []
     truths = {"viscous_friction": (0.3, 0.1), "coulomb_friction": (0.5, 0.25)}
     for seed in range(20, 28):
-        for each in regress(recorded(seed, friction, seconds=6.0), BODY, rules=DEFAULT.replace(tolerance=0.0)).numbers:
+        for each in regress(recorded(seed, friction), BODY, rules=DEFAULT.replace(tolerance=0.0)).numbers:
             if each.effect in truths:
                 truth = truths[each.effect][BODY.joint_names.index(each.place)]
                 hits.append(each.interval_90[0] <= truth <= each.interval_90[1])
@@ -58,7 +58,7 @@ def test_intervals_hold_the_truth():
 @pytest.fixture(scope="module")
 def weak():
     """Motors that give .8 times what they are told, and a file's friction and springs, of which some are other."""
-    rows = recorded(40, lambda m: of_parts(m) + 0.3 * m.qd - 1.0 * m.q, seconds=6.0)
+    rows = recorded(40, lambda m: of_parts(m) + 0.3 * m.qd - 1.0 * m.q)
     rows = replace(rows, torques=rows.torques / 0.8)
     return rows, by_name(of_joints(*fitted_plainly(rows, FILED, FOUR), SAME))
 
@@ -139,7 +139,7 @@ def test_a_links_probability_is_that_of_its_own_numbers():
 
 def test_an_estimate_that_no_robot_can_have_is_its_least_value():
     """Rotors take no torque away: both are in the list, and one that would is none."""
-    rows = recorded(2, lambda m: m.qdd * np.array([-0.02, 0.0]), seconds=6.0)
+    rows = recorded(2, lambda m: m.qdd * np.array([-0.02, 0.0]))
     effects, fit = fitted_plainly(rows, BODY, FOUR[:2], others=True)
     own = by_name(of_others(effects, fit, SAME))
     each = own["armature", "shoulder", "inertia"]

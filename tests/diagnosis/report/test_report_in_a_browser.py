@@ -5,7 +5,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from browsing import chromium, opened, requests
+from browsing import opened, requests
 from pendulum import diagnosed
 from reported import KINDS, Page, diagnosis, hostile
 
@@ -13,13 +13,6 @@ from invdyn.diagnosis import save
 from invdyn.diagnosis.report import write_report
 from invdyn.diagnosis.report.sentences import verdict
 from invdyn.inference import load_posterior
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """A headless Chromium for this file."""
-    with chromium(tmp_path_factory.mktemp("chromium")) as window:
-        yield window
 
 
 def test_in_a_browser(browser, tmp_path):
