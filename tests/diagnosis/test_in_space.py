@@ -62,7 +62,7 @@ def test_a_planar_arm_told_as_a_tree_is_screened_and_refined_as_the_planar_one()
     assert causes[0].mean[0] == pytest.approx(0.08, rel=0.1)
 
 
-@pytest.mark.quick("-payload", "-coulomb_friction.lift")
+@pytest.mark.quick("-payload")
 @pytest.mark.parametrize(
     ("change", "name"),
     [

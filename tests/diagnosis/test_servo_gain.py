@@ -19,6 +19,7 @@ def target(time):
     return 0.6 * np.sin(3 * time) + 0.3 * np.sin(8 * time)
 
 
+@pytest.mark.long
 def test_a_gain_of_eight_tenths(tmp_path):
     path, copy = tmp_path / "robot.xml", tmp_path / "corrected.xml"
     path.write_text(servo_mjcf("RK4", 0.05, kp=10, kv=0.3))

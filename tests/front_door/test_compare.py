@@ -28,18 +28,18 @@ def simulated(folder, run):
 
 def test_writes_table_figure_and_posteriors(simulated, run, monkeypatch):
     monkeypatch.setitem(METHODS, "broken", failing)
-    outcome = run(*CALL, "--methods", "smc, broken,laplace", "--set", "truth=truth.csv", *QUICK)
+    outcome = run(*CALL, "--methods", "differentiate, broken,laplace", "--set", "truth=truth.csv", *QUICK)
     assert outcome.exit_code == 0, outcome.output
     written = {path.name for path in Path("DIR").iterdir()}
-    assert written == {"comparison.csv", "comparison.json", "figure.png", "smc.nc", "laplace.nc"}
+    assert written == {"comparison.csv", "comparison.json", "figure.png", "differentiate.nc", "laplace.nc"}
     table = pd.read_csv("DIR/comparison.csv", index_col="method")
-    assert list(table.index) == ["smc", "broken", "laplace"]
+    assert list(table.index) == ["differentiate", "broken", "laplace"]
     assert table.loc["broken", "failure"] == "RuntimeError: no convergence"
-    assert load_posterior("DIR/smc.nc").attrs["log_evidence"] == pytest.approx(table.loc["smc", "log_evidence"])
+    assert load_posterior("DIR/laplace.nc").attrs["log_evidence"] == pytest.approx(table.loc["laplace", "log_evidence"])
     rows = json.loads(Path("DIR/comparison.json").read_text())["methods"]
-    for method in ("smc", "laplace"):
+    for method in ("differentiate", "laplace"):
         assert rows[method]["elbow_crps"] == pytest.approx(table.loc[method, "elbow_crps"])
-        assert rows[method]["evidence_kind"] == table.loc[method, "evidence_kind"]
+    assert rows["laplace"]["evidence_kind"] == table.loc["laplace", "evidence_kind"]
     for said in ("CRPS", "90 % covers", "approximation", "broken failed: RuntimeError: no convergence", "figure.png"):
         assert said in outcome.stdout
     assert "broken.nc" not in outcome.stdout

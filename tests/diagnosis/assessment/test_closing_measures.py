@@ -21,7 +21,7 @@ from invdyn.recordings import Recording
 
 @pytest.fixture(scope="module")
 def regression():
-    return regress(recorded(0, friction), BODY)
+    return regress(recorded(0, friction, seconds=12.0), BODY)
 
 
 def cause(regression, *effects, **values):

@@ -76,7 +76,7 @@ def test_a_push_is_not_missed_in_another_recording():
     assert not there.leaves
 
 
-@pytest.mark.quick("20")
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [10, 20])
 def test_another_recording_has_its_own_swapped_labels(seed):
     """Its path is found as the first one's is: not along detections that stray."""

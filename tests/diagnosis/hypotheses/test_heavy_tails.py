@@ -65,7 +65,7 @@ def test_heavy_tails_take_the_place_of_stray_detections():
 @pytest.mark.quick("normal")
 @pytest.mark.parametrize("law", ["normal", "strays"])
 def test_normal_noise_and_stray_detections_stay_what_they_are(law):
-    _, stray, found = searched(law)
+    _, stray, found = searched(law, rows=150)
     assert stray is (law == "strays")
     assert heavy_tailed(found) is found
     assert ("outliers" in found.ranked[0].key) is (law == "strays")

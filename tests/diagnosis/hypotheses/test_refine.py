@@ -260,6 +260,7 @@ def stopped():
 LOST = pytest.mark.xfail(strict=True, reason="since the damper's onset is spread over a sub-step it ends at no stop")
 
 
+@pytest.mark.quick("0.1")
 @pytest.mark.parametrize("off", [pytest.param(-0.1, marks=[LOST, pytest.mark.slow]), -0.08, 0.05, 0.1])
 def test_a_stop_is_found_from_beside_it(off):
     """From a tenth of a radian off, what steps promise and do not keep would be taken for better than the truth."""

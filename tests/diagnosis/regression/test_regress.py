@@ -255,6 +255,7 @@ def test_motors_that_give_less_are_not_friction_that_is_more():
             assert key not in own or abs(own[key].value) < 0.02
 
 
+@pytest.mark.long
 def test_motors_and_links_are_named_where_all_have_a_factor_in_common():
     """All gains and all masses times a factor would explain the torques as well: the fewest places differ."""
     rng, time, joints = np.random.default_rng(0), np.arange(0, 14, 1 / RATE), 5

@@ -193,6 +193,7 @@ def test_a_servos_gain_at_a_hinge_that_no_gravity_loads(times):
     )  # no torque: nothing to say
 
 
+@pytest.mark.long
 def test_a_servos_gain_that_explains_less_than_the_files_is_dropped():
     """A fore-arm twice as heavy, moved so that the shoulder needs no torque: a weak servo, until it moves otherwise."""
     parts = JointParts(damping=0.1, motor=Motor("position", 60.0, 60.0, 0.4))

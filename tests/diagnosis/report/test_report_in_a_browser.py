@@ -64,6 +64,7 @@ def test_fits_a_phone(browser, tmp_path, name):
     assert browser.get_log("browser") == []
 
 
+@pytest.mark.long
 def test_what_a_diagnosis_saves_is_opened(browser, tmp_path):
     """All three files of a real one, which says the same in each."""
     found = diagnosed()
