@@ -271,9 +271,6 @@ class CheckRules:
     )
     max_delay: float = number(0.1, "s", "from a command to its torque; longer ones are a clock's", "stated")
     max_lead: float = number(1.5, "rows", "by which a command may follow its motion, by rounding of times", "chosen")
-    max_damping_share: float = number(
-        0.5, "1", "of a joint's torque, that damping besides the file's takes once a delay is put right", "chosen"
-    )
     delay_growth: float = number(1.2, "1", "from one delay that is tried to the next", "effort")
     max_shift: float = number(0.2, "of the log", "by which its commands may come late or early", "chosen")
     gear_tolerance: float = number(0.05, "1", "gears closer than that are the same", "chosen")

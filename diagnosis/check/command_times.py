@@ -86,10 +86,6 @@ def late_commands(
             continue
         if (after := righted.missed(group)) > limits.max_joint_misfit:
             continue
-        # a servo's target that leads more asks for more damping, whatever the reason: so of a log that may be right
-        taken = fit.by_damping(right, righted.values)
-        if own.misfit <= limits.max_right_misfit and share(taken, righted.required, group) > limits.max_damping_share:
-            continue
         before = share(fit.left_by_values(wrong, righted.values), righted.required, group)
         worth.append(Found(replace(mistake, right=partial(lambda right, motion: right, right)), before, after))
     # in what is required of the joints: a weak one, whose torque no remedy explains, has its own unit in the misfit

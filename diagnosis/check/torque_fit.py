@@ -95,11 +95,6 @@ class TorqueFit:
         left = motion.torque - own.required - np.einsum("p,kpr->rk", values, own.columns[:, : len(values)])
         return np.asarray(np.sqrt((left**2).mean(0)))
 
-    def by_damping(self, motion: Motion, values: np.ndarray) -> np.ndarray:
-        """Rms (K,) N·m of what viscous friction takes in addition to the file's, with coefficients (P,)."""
-        first, K = len(self._own), motion.q.shape[1]
-        return np.asarray(np.abs(values[first : first + K]) * np.sqrt((motion.qd**2).mean(0)))
-
     def recounted(self, motion: Motion, joint: int) -> Callable[[float], Explained]:
         """From the zero of a joint that turns, rad, to what the motion explains then."""
         nodes = math.tau * np.arange(5) / 5
