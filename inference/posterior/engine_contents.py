@@ -40,8 +40,8 @@ UNTOLD = 0.6
 ACTS = 1.0
 """N, median force of a contact from which on it acts in a row."""
 PRIOR_DRAWS = 4000
-SPLIT = 3.0
-"""Times as uncertain as their sum that single forces are where their split is not known."""
+SPLIT = 1.5
+"""Times as uncertain as their sum that single forces are where their split is not known; .7 if they are independent."""
 
 
 def engine_contents(
