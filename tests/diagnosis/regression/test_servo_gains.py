@@ -87,8 +87,8 @@ def test_intervals_know_that_a_servos_gain_was_estimated():
 
 def test_rows_in_which_a_servo_is_at_its_limit_say_nothing():
     """A third of the rows ask for more than the servo gives; friction is found by the others."""
-    whole = recorded(21, friction, torque_noise=0.02)
-    motion = Motion(21)
+    whole = recorded(21, friction, torque_noise=0.02, seconds=12.0)
+    motion = Motion(21, 12.0)
     limit = float(np.quantile(np.abs(whole.torques), 0.8))
     motor = Motor("position", 60.0, 60.0, 0.0, low=-limit, high=limit)
     parts = JointParts(motor=motor)
