@@ -292,6 +292,7 @@ def test_resident_peak_sees_an_allocation():
     assert float(grown.stdout) > 0.8 * 200
 
 
+@pytest.mark.quick("Matern32")
 @pytest.mark.parametrize("torque", [Matern32(), SmoothAndRough()], ids=lambda process: type(process).__name__)
 def test_a_torque_with_derivatives_has_a_score(data, torque):
     """Two methods that leave nothing out predict the tail alike."""

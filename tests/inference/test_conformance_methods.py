@@ -34,7 +34,7 @@ from invdyn.models import (
 )
 from invdyn.recordings import InputError, Recording
 
-T = 20
+T = 16
 TIME = 0.03 * np.arange(T)
 TIPS, JOINTS = ("elbow", "wrist"), ("shoulder", "elbow")
 GAP = slice(9, 12)
@@ -274,7 +274,7 @@ def test_exact_methods_agree_with_the_kalman_smoother(linear, method):
     draws = pooled(idata)["torque"].values[..., 0]
     size = min(idata["sample_stats"].attrs.get("ess_bulk", np.inf), len(draws))
     assert size > 60
-    # largest of 20 correlated standardised errors
+    # largest of 16 correlated standardised errors
     assert np.abs((draws.mean(0) - mean) / sd).max() < 4 / np.sqrt(size)
     assert np.abs(draws.std(0) / sd - 1).max() < 4 / np.sqrt(2 * size)
     found = idata.attrs["log_evidence"]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from invdyn.inference import infer, load_posterior, pooled
-from invdyn.models import Link, dynamics_for, planar_body
+from invdyn.models import Link, OrnsteinUhlenbeck, dynamics_for, planar_body
 from invdyn.models.articulated.applied_force import AppliedForce
 from invdyn.recordings import InputError, Recording, SiteForce, read_forces, write_keypoint_csv
 
@@ -15,7 +15,7 @@ TIME = 5.0 + np.arange(60) / 30
 CLOCK = np.linspace(4.9, 7.1, 300)
 LENGTHS = 0.3, 0.26
 ARM = planar_body("arm", [Link("u", "shoulder", "elbow", 0.3, 2.0), Link("f", "elbow", "wrist", 0.26, 1.5)])
-KNOWN = {"method": "laplace", "num_filters": 4, "num_draws": 50}
+KNOWN = {"method": "laplace", "num_filters": 4, "num_draws": 20, "torque": OrnsteinUhlenbeck()}
 
 
 def pull(time):
@@ -83,7 +83,9 @@ def test_forces_come_from_a_file_with_its_own_clock(pulled, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     write_keypoint_csv(recording, tmp_path / "rec.csv")
     ARM.to_toml(tmp_path / "arm.toml")
-    line = "infer rec.csv --body arm.toml --set forces=handle.csv --method laplace --out p.nc"
+    line = (
+        "infer rec.csv --body arm.toml --set forces=handle.csv --torque ornstein_uhlenbeck --method laplace --out p.nc"
+    )
     outcome = CliRunner().invoke(app, line.split())
     assert outcome.exit_code == 0, outcome.output
     idata = load_posterior(tmp_path / "p.nc")

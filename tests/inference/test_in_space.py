@@ -18,7 +18,7 @@ from invdyn.inference import (
     save_posterior,
 )
 from invdyn.inference.smoothing.gauss_newton import gauss_newton
-from invdyn.models import FAMILIES, INTEGRATORS, TORQUE_PROCESSES, Body, Joint, Link, dynamics_for
+from invdyn.models import FAMILIES, INTEGRATORS, TORQUE_PROCESSES, Body, Joint, Link, OrnsteinUhlenbeck, dynamics_for
 from invdyn.recordings import Recording
 
 T, NOISE = 14, 0.005
@@ -134,5 +134,6 @@ def test_mechanics_frame_by_frame_are_those_of_another_engine():
 
 
 def test_from_a_recording_to_torques_with_nothing_known():
-    idata = infer(problem().recording, arm(), num_filters=4, num_particles=50, num_draws=4, seed=0)
+    sizes = {"num_filters": 4, "num_particles": 50, "num_draws": 4}
+    idata = infer(problem().recording, arm(), seed=0, torque=OrnsteinUhlenbeck(), **sizes)
     assert idata.attrs["outer_ess"] > 3.5

@@ -22,12 +22,12 @@ def a_body():
 
 @pytest.fixture(scope="module", name="live")
 def a_live_arm(body):
-    return LiveArm(record(random_arm(body, duration=4, seed=1, **PLAIN), seed=1)[0], body, lag=0.1)
+    return LiveArm(record(random_arm(body, duration=3, seed=1, **PLAIN), seed=1)[0], body, lag=0.1)
 
 
 @pytest.fixture(scope="module", name="commanded")
 def a_commanded_arm(body):
-    return LiveArm(record(random_arm(body, duration=4, seed=1, commanded=True, **PLAIN), seed=1)[0], body)
+    return LiveArm(record(random_arm(body, duration=2, seed=1, commanded=True, **PLAIN), seed=1)[0], body)
 
 
 def rows_of(live, recording):
@@ -39,7 +39,7 @@ def rows_of(live, recording):
 
 
 def test_bands_hold_the_torques(live, body):
-    recording, truth = record(random_arm(body, duration=6, seed=3, **PLAIN), seed=3)
+    recording, truth = record(random_arm(body, duration=4, seed=3, **PLAIN), seed=3)
     live.forget()
     answers = list(live.follow(rows_of(live, recording)))
     assert [each.time for each in answers] == pytest.approx(recording.time)
@@ -170,7 +170,7 @@ def test_known_commands_are_part_of_the_torque(commanded, body):
 
 def test_a_load_is_told_within_two_seconds(commanded, body):
     """The forearm is half as heavy again from 2 s on; before, there is no alarm."""
-    model = random_arm(body, duration=5, seed=8, commanded=True, **PLAIN)
+    model = random_arm(body, duration=4, seed=8, commanded=True, **PLAIN)
     torch.manual_seed(8)
     states, observed = model.simulate()
     _, angle, velocity = model.split(states[99])

@@ -122,9 +122,9 @@ def test_stop_gradient_estimates_the_gradient_of_the_evidence():
     exact = (exact[0] - exact[1]) / (2 * step)
     found = {}
     for gradient in ("stop-gradient", "dropped"):
-        loss = VSMC_ELBO(2, 1000, ess_threshold=1.0, resampling="multinomial", gradient=gradient)
+        loss = VSMC_ELBO(2, 10_000, ess_threshold=1.0, resampling="multinomial", gradient=gradient)
         draws = []
-        for _ in range(200):
+        for _ in range(20):
             value = loss.log_evidence(model, guide, y).exp().mean()
             draws.append(torch.autograd.grad(value, pyro.param("transition"))[0].item())
         found[gradient] = np.mean(draws), np.std(draws) / len(draws) ** 0.5

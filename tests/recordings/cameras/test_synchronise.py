@@ -56,13 +56,11 @@ def test_lasting_errors_are_no_clock():
     first, late = given["cam1"], given["cam3"]
     time = late.time - TRUE["cam3"]
     still = 15 * rng.standard_normal((3, 2))
-    for size in (0.0, 3.0):
-        wandering = size * np.sin(8 * time[:, None, None] + rng.uniform(0, 6, (3, 2)))
-        films = {"cam1": first, "cam3": Recording(time, late.keypoints + still + wandering, NAMES)}
-        (clock,) = find_offsets(films, calibration, 0.05).values()
-        assert clock.sd > 5e-4 * size
-        assert clock.sd < 4e-3
-        assert not clock.significant
+    wandering = 3 * np.sin(8 * time[:, None, None] + rng.uniform(0, 6, (3, 2)))
+    films = {"cam1": first, "cam3": Recording(time, late.keypoints + still + wandering, NAMES)}
+    (clock,) = find_offsets(films, calibration, 0.05).values()
+    assert 1.5e-3 < clock.sd < 4e-3
+    assert not clock.significant
     far = Recording(time, late.keypoints + 10 * wandering, NAMES)
     with pytest.raises(InputError, match="the tracker errs too much"):
         find_offsets({"cam1": first, "cam3": far}, calibration, 0.05)
