@@ -79,8 +79,16 @@ def test_genealogy_under_the_exact_guide(chain, y, dtype):
 
 
 @pytest.mark.quick("controlled-*")
-@pytest.mark.parametrize(("bridge", "block"), [(False, 6), (True, 1), (True, 3), (True, 6)])
-@pytest.mark.parametrize("guide", ["bootstrap", "controlled"])
+@pytest.mark.parametrize(
+    ("guide", "bridge", "block"),
+    [
+        ("controlled", False, 6),
+        ("controlled", True, 1),
+        ("controlled", True, 3),
+        ("bootstrap", False, 6),
+        ("bootstrap", True, 3),
+    ],
+)
 def test_backward_simulation(chain, y, guide, bridge, block):
     model, observations, smoother, result = controlled(chain, y, 100, 100)
     if guide == "bootstrap":

@@ -240,10 +240,10 @@ def test_gradients(name, start, arm, states):
 @pytest.mark.parametrize(("size", "weight"), [(0.05, 1e-3), (1.0, 1.0), (4.0, 40.0)])
 def test_it_simulates_from_mouse_to_robot(name, size, weight, arm):
     torch.manual_seed(3)
-    model = arm(2, rows=20, step=0.01 * size**0.5, size=size, weight=weight)
+    model = arm(2, rows=12, step=0.01 * size**0.5, size=size, weight=weight)
     model, _ = drawn(model.with_effects(one(name, model)), seed=4)
     path, rows = model.simulate((2,))
-    assert path.shape == (2, 20, model.state_dim)
+    assert path.shape == (2, 12, model.state_dim)
     assert bool(path.isfinite().all())
     assert bool(rows.isfinite().all())
 

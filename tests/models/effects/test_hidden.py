@@ -113,24 +113,26 @@ def halves(rows, step):
 
 @pytest.mark.quick("push")
 @pytest.mark.parametrize(
-    ("effect", "other", "values"),
+    ("effect", "other", "values", "rows"),
     [
         (
             ExternalPush("tip"),
             ExternalPush("tip1"),
             {"impulse_x": 0.05, "impulse_y": 0.2, "moment": 0.1, "duration": 0.08},
+            101,
         ),
         (
             BaseMotion(),
             BaseMotion(),
             {"sine_x": 0.01, "cosine_x": 0.0, "sine_y": 0.0, "cosine_y": 0.02, "frequency": 3.0},
+            201,
         ),
     ],
     ids=["push", "base motion"],
 )
-def test_what_pulls_at_a_link_bends_it(effect, other, values, having):
+def test_what_pulls_at_a_link_bends_it(effect, other, values, rows, having):
     """A flexible rod is two halves with a spring between them, whatever pulls at them."""
-    rows, step = 101, 0.0025
+    step = 0.0025
     whole = having(
         having(rod(rows, step, (0.0, -9.81)), LinkFlexibility("link"), stiffness=8.0, damping=0.0), effect, **values
     )
