@@ -27,7 +27,7 @@ inertia = 0.04
 FRAMES = 12
 COLUMNS = ("time", "wrist_x", "wrist_y", "wrist_likelihood", "elbow_torque", "elbow_angle")
 TRUTH = ("time", "elbow_torque", "elbow_angle", "elbow_velocity")
-SMALL = ("--filters", "2", "--particles", "8", "--set", "draws=1")
+SMALL = ("--filters", "2", "--particles", "8", "--set", "draws=1", "--torque", "ornstein_uhlenbeck")
 GIVEN = ("rec.csv", "--body", "arm.toml")
 INFER = ("infer", *GIVEN, "--out", "out.nc", *SMALL)
 TRACKED = ("infer", "dlc.csv", "--body", "arm.toml", "--units", "px", "--fps", "30", "--out", "out.nc", *SMALL)
@@ -38,8 +38,8 @@ PLOT = ("plot", "posterior.nc", "--out", "out.csv")
 DRAW = ("plot", "posterior.nc", "--out", "out.svg")
 BLIND = ("blind", "--out", "out", "--cases", "1")
 DEMO = ("demo", "--out", "out")
-KEPT = (*INFER, "--torque", "ornstein_uhlenbeck", "--checkpoint", "checkpoint")
-MIXED = (*INFER, "--checkpoint", "mixed")
+KEPT = (*INFER, "--checkpoint", "checkpoint")
+MIXED = (*INFER, "--torque", "auto", "--checkpoint", "mixed")
 """Of one torque process filters are tasks, of the default's several its sets of parameters are."""
 
 HUGE = "9" * 5000
