@@ -436,6 +436,9 @@ class Fixed:
     odd_size: float = number(0.3, "of the torque needed", "prior sd of an effect beside all usual ones", "chosen")
     plain_size: float = number(10.0, "of the torque needed", "the same of a plain fit: next to no prior", "chosen")
     sure_probability: float = number(0.9, "1", 'of what a regression names without a "perhaps"', "stated")
+    disagreement: float = number(
+        0.05, "1", "of regressions that say that parts of a log differ where none does", "chance"
+    )
     usual_start: float = number(0.1, "prior sd", "of a usual effect that a regression has no size of", "effort")
     shape_passes: int = number(3, "regressions", "with shapes that get nearer", "effort")
     shape_grid: int = number(25, "values", "of the shape of an effect that a regression chose", "effort")

@@ -30,7 +30,8 @@ class MeasuredMotion:
     `demanded` (R, K) is K (c − q) of position servos, without limits and without their damping, whose torque is
     `servo_drag`; elsewhere it is `torque`. `within` (R, N, K) is what it differs by from that mean at moments of a row,
     N = 1 where no servo has limits. `torque_sd` is what noise in the encoders makes of a servo's torque. `command`
-    (R, K) is that before servos answer. `stretch` (R,) counts pieces of a recording between which time jumps.
+    (R, K) is that before servos answer. `stretch` (R,) counts pieces of a recording between which time jumps, and
+    `recording` (R,) recordings.
     """
 
     time: np.ndarray
@@ -46,6 +47,12 @@ class MeasuredMotion:
     torque_sd: np.ndarray
     command: np.ndarray
     stretch: np.ndarray
+    recording: np.ndarray
+
+    @property
+    def parts(self) -> np.ndarray:
+        """(R,) which recording rows are of; of one recording, which third."""
+        return self.recording if self.recording.any() else np.arange(len(self.time)) * 3 // len(self.time)
 
     def at(self, rows: np.ndarray | slice) -> "MeasuredMotion":
         """Some rows of it, by number, (R,) of bool or neighbouring ones."""
@@ -107,9 +114,10 @@ def measured_motion(
 def _one_after_another(motions: Sequence[MeasuredMotion]) -> MeasuredMotion | None:
     """Motions as stretches of one, a second apart."""
     moved, end, number = [], 0.0, 0
-    for motion in motions:
+    for each, motion in enumerate(motions):
         time = motion.time - motion.time[0] + end
-        moved.append(replace(motion, time=time, stretch=motion.stretch + number))
+        where = np.full(len(time), each)
+        moved.append(replace(motion, time=time, stretch=motion.stretch + number, recording=where))
         end, number = float(time[-1]) + 1.0, number + int(motion.stretch.max()) + 1
     return _joined(moved) if moved else None
 
@@ -156,10 +164,9 @@ def _of_stretch(
     servos = [parts.servo for parts in body.joint_parts]
     answer = np.array([(0.0, 0.0) if servo is None else (servo.stiffness, servo.damping) for servo in servos])
     noise = np.einsum("ki,tkij,kj->tk", answer, smoothed.covariance[..., :2, :2], answer)
-    where = np.full(len(q), number)
-    return MeasuredMotion(
-        smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], given, demanded, within, drag, np.sqrt(noise), command, where
-    )
+    torque_sd, where = np.sqrt(noise), np.full(len(q), number)
+    torques = given, demanded, within, drag, torque_sd, command
+    return MeasuredMotion(smoothed.time, q, qd, qdd, sd[..., 1], sd[..., 2], *torques, where, np.zeros_like(where))
 
 
 def _unlimited(body: ArticulatedBody, *state: np.ndarray) -> np.ndarray:

@@ -83,7 +83,8 @@ class Regression:
     are from their Gaussian, always of the same seed. `far_gains` are of servos by joint, times the file's: no
     search about the file's numbers comes to them. `torque` is of the held-out rows that `unseen` has, and so is
     `plain`, of viscous and Coulomb friction at all joints alone. `others` are numbers of effects that are not stated,
-    with their probabilities, and `examined` the names of all effects that could have been stated.
+    with their probabilities, and `examined` the names of all effects that could have been stated. The parts that may
+    tell other numbers are so many `recordings`, or thirds of one.
     """
 
     joints: tuple[str, ...]
@@ -98,6 +99,7 @@ class Regression:
     far_gains: Mapping[str, float] = field(compare=False)
     others: tuple[Estimated, ...]
     examined: frozenset[str] = frozenset()
+    recordings: int = 1
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it, once :func:`..assessment.result.plain` was called on it."""
@@ -186,6 +188,7 @@ def regress(
         {name: 1 / g for name, g in zip(body.joint_names, gains.factor.tolist(), strict=True) if g != 1.0},
         tuple(of_others(whole, fit, gains)),
         frozenset(whole.kinds).difference(without),
+        int(motion.recording.max()) + 1,
     )
 
 

@@ -44,7 +44,8 @@ class Estimated:
     """A number: `parameter` of an effect at a place, with its 90 % interval; `of_file` is what the file has of it.
 
     ``known_with`` are further numbers that are known with it alone, name → factor (:func:`.regressors.base_columns`).
-    ``probability`` is that the robot's is another than the file's.
+    ``probability`` is that the robot's is another than the file's. ``by_part`` has values and sds of each recording, or
+    third of one, where these differ (:mod:`.agreement`).
     """
 
     effect: str
@@ -57,6 +58,7 @@ class Estimated:
     of_file: float = 0.0
     known_with: Mapping[str, float] = field(default_factory=dict)
     probability: float = 1.0
+    by_part: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,7 @@ def _scaled(numbers: Numbers, place: str, factor: float) -> Numbers:
 def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
     """Numbers of effects at joints."""
     values, unsure = named(effects, fit.chosen, servos), _without_scale(effects, fit.chosen, servos)
+    by_part = _by_part(effects, fit, servos)
     sds, more = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), fit.shift(np.eye(len(fit.chosen.columns)))
     fitted = {
         (effects.kinds[p], effects.places[p], effects.names[p]): each
@@ -194,12 +197,25 @@ def of_joints(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[E
         elif place in unsure:
             interval = _times_unknown(value, sd, fit.freedom)
             sd = float(np.hypot(sd, FIXED.servo_gain_sd * value))
-        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, probability=probability))
+        apart = tuple((v, scale * s) for v, s in by_part.get((kind, place, name), np.zeros((0, 2))).tolist())
+        found.append(Estimated(kind, place, name, value, sd, interval, unit, filed, {}, probability, apart))
     for (kind, place, name), each in shapes.items():
         if (kind, place, name) in values:
             own = effects.shapes[kind, place]
             found.append(Estimated(kind, place, name, own.value, own.sd, own.interval_90, each.shape.unit))
     return found
+
+
+def _by_part(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> dict[tuple[str, str, str], np.ndarray]:
+    """Values, and sds as of coefficients, (R, 2), of parts of the rows that do not tell the same."""
+    columns, parts = fit.chosen.columns, fit.parts
+    if parts is None:
+        return {}
+    every = [named(effects, replace(fit.chosen, values=each), servos) for each in parts.values]
+    one = np.eye(len(columns))
+    apart = zip(columns, parts.spread(one), parts.sds(one).T, strict=True)
+    told = {(effects.kinds[p], effects.places[p], effects.names[p]): sds for p, tau, sds in apart if tau > 0}
+    return {key: np.stack([[each[key] for each in every], sds], -1) for key, sds in told.items()}
 
 
 def of_others(effects: LinearEffects, fit: Fitted, servos: ServoGains) -> list[Estimated]:
@@ -256,7 +272,11 @@ def of_links(effects: LinearEffects, fit: Fitted, body: Any) -> list[Estimated]:
         # a link's size is its number, and says nothing of the torque that is tolerated
         probability = probability_of(value - nominal, sd, size, replace(fit, tolerance=0.0))
         sd, interval = _estimate(value, float(np.hypot(sd, more)), fit.freedom)
-        found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability))
+        by_part: tuple[tuple[float, float], ...] = ()
+        if fit.parts and fit.parts.spread(whole[None])[0] > 0:
+            own_values, sds = nominal + fit.parts.values @ whole, fit.parts.sds(whole[None])[:, 0]
+            by_part = tuple(zip(own_values.tolist(), sds.tolist(), strict=True))
+        found.append(Estimated(INERTIAL, place, name, value, sd, interval, unit, nominal, parts, probability, by_part))
     return found
 
 

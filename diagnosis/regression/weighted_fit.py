@@ -36,6 +36,7 @@ from itertools import pairwise
 import numpy as np
 
 from invdyn.diagnosis.catalogue.linear_laws import CONTAINED, GAIN, INERTIAL, JOINT_KINDS, LINK_MASS, ODD
+from invdyn.diagnosis.regression.agreement import Parts
 from invdyn.diagnosis.regression.grouped_evidence import Choice, Chosen, Moments
 from invdyn.diagnosis.regression.linear_effects import LinearEffects
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion
@@ -46,8 +47,8 @@ from invdyn.diagnosis.rules import FIXED, Rules
 class Fitted:
     """A choice with its covariance (p, p), degrees of freedom, and the weights (R, K) of its rows.
 
-    `discrepancy` (K, p, p) are A⁻¹ C_j A⁻¹ of torques that are tolerated: they add to what a number may be, and not to
-    whether it is there.
+    `discrepancy` (K + 1, p, p) are A⁻¹ C_j A⁻¹ of torques that are tolerated, and by what `parts` of the rows differ
+    (:mod:`.agreement`): they add to what a number may be, and not to whether it is there.
     `others` are fits with one effect more, by that effect and its place, without regard to its least value.
     `rivals` are effects that would explain as much in the stead of one at its place.
     `tolerance` is the share of what the motion asks for that an effect must be of, to be called one.
@@ -61,6 +62,7 @@ class Fitted:
     tolerance: float = 0.0
     others: Mapping[tuple[str, str], "Fitted"] = field(default_factory=dict)
     rivals: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
+    parts: Parts | None = None
 
     def shift(self, sums: np.ndarray) -> np.ndarray:
         """(S,) largest shift of sums (S, p) of coefficients by torques that are tolerated."""
@@ -115,9 +117,11 @@ def weighted_fit(
     gram = effects.columns.sums(effects.missing, weights)[0]
     of = partial(_covariance, effects, choice, gram, weights, motion.stretch, tau)
 
-    def fitted(each: Chosen) -> Fitted:
+    def fitted(each: Chosen, part: np.ndarray | None = None) -> Fitted:
         covariance, discrepancy = of(each)
         whole = Fitted(each, covariance, len(moments.folds) - 1, weights, discrepancy, rules.evidence.tolerance)
+        if part is not None and each.columns:
+            whole = _with_parts(whole, effects, choice, part)
         return _by_numbers(effects, whole)
 
     added = {}
@@ -129,7 +133,7 @@ def weighted_fit(
     alike = choice.rivals(chosen) if others else {}
     others_there = {key: tuple(kind for kind in own if kind not in (INERTIAL, LINK_MASS)) for key, own in alike.items()}
     rivals = {key: own for key, own in others_there.items() if own and key[0] != LINK_MASS}
-    return replace(fitted(choice.with_gains(chosen)), others=added, rivals=rivals)
+    return replace(fitted(choice.with_gains(chosen), motion.parts if others else None), others=added, rivals=rivals)
 
 
 def _by_numbers(effects: LinearEffects, fit: Fitted) -> Fitted:
@@ -165,7 +169,25 @@ def _by_numbers(effects: LinearEffects, fit: Fitted) -> Fitted:
         ),
         covariance=turn @ fit.covariance @ turn.T,
         discrepancy=turn @ fit.discrepancy @ turn.T,
+        parts=fit.parts and fit.parts.turned(turn),
     )
+
+
+def _with_parts(fit: Fitted, effects: LinearEffects, choice: Choice, part: np.ndarray) -> Fitted:
+    """With estimates by each ``part`` (R,) of neighbouring rows alone, of which as many count, and their spread."""
+    chosen, own, moments = fit.chosen, list(fit.chosen.columns), choice.moments
+    edges = np.append(np.flatnonzero(np.diff(part, prepend=-1)), len(part))
+    weight, found = moments.count / moments.rows / chosen.noise**2, []
+    prior = [1 / (s.size * effects.size[p]) ** 2 for s in chosen.statements for p in s.every]
+    for ends in pairwise(edges):
+        gram, cross, _ = effects.columns.sums(effects.missing, fit.weights, slice(*ends))
+        A = np.einsum("k,kpq->pq", weight, gram[:, own][:, :, own]) + np.diag(prior) / (len(edges) - 1)
+        inverse = _inverse(A)
+        found.append((inverse @ (weight @ cross[:, own]), inverse + fit.discrepancy.sum(0)))
+    parts = Parts(*map(np.array, zip(*found, strict=True)), FIXED.disagreement / len(own))  # Bonferroni's level
+    grow = parts.spread(np.eye(len(own))) / np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+    between = fit.covariance * grow[:, None] * grow
+    return replace(fit, parts=parts, discrepancy=np.concatenate([fit.discrepancy, [between]]))
 
 
 def _moves(motion: MeasuredMotion, rules: Rules, usable: np.ndarray) -> np.ndarray:

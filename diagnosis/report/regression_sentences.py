@@ -4,10 +4,11 @@ from invdyn.diagnosis.assessment.result import named
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.regression.regress import Regression
-from invdyn.diagnosis.regression.stated_numbers import Stated
+from invdyn.diagnosis.regression.stated_numbers import Estimated, Stated
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing
-from invdyn.diagnosis.report.numbers import percent
+from invdyn.diagnosis.report.numbers import percent, plus_minus
 from invdyn.diagnosis.report.words import effect_words, place_words
+from invdyn.diagnosis.rules import FIXED
 
 
 def regression_words(regression: Regression) -> str:
@@ -51,6 +52,29 @@ def interim(regression: Regression) -> str:
     words = regression_words(regression)
     verb = "explain" if " and " in words or "numbers" in words else "explains"
     return f"By regression alone: {words} {verb} {of_torque(torque)}."
+
+
+def number_words(number: Estimated) -> str:
+    """Which number it is: "Coulomb friction: torque at elbow"."""
+    of = "of" if number.effect == INERTIAL else "at"
+    return f"{effect_words(number.effect)}: {number.parameter} {of} {number.place}"
+
+
+def of_parts(number: Estimated) -> list[str]:
+    """What each part of the rows says of it, with its sd."""
+    return [plus_minus(value, sd, number.unit) for value, sd in number.by_part]
+
+
+def differing(regression: Regression) -> str | None:
+    """What recordings, or thirds of one, do not tell the same of; the numbers that are farthest apart first."""
+    every = [each for each in regression.numbers if each.by_part]
+    if not every:
+        return None
+    every.sort(key=lambda each: (min(each.by_part)[0] - max(each.by_part)[0]) / each.sd)
+    some = [f"{number_words(each)} is {named(of_parts(each))}" for each in every[: FIXED.num_shown]]
+    what = "recordings" if regression.recordings > 1 else "thirds of the log"
+    count = f"{len(every)} of the {len(regression.numbers)} numbers of the regression"
+    return f"The {what} differ in {count}, whose intervals are wider for that: {'; '.join(some)}."
 
 
 def of_torque(torque: TorqueClosing) -> str:

@@ -15,17 +15,16 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Estimate
-from invdyn.diagnosis.catalogue.linear_laws import INERTIAL
 from invdyn.diagnosis.problem.regime import REGIMES
 from invdyn.diagnosis.report.arm import arm
 from invdyn.diagnosis.report.figures import maps, residuals, timeline
 from invdyn.diagnosis.report.numbers import apart, estimate, fixed, handies, handy, known, percent, plain, plus_minus
+from invdyn.diagnosis.report.regression_sentences import number_words, of_parts
 from invdyn.diagnosis.report.replay import replay
 from invdyn.diagnosis.report.sentences import details, kind, left, left_over, verdict
 from invdyn.diagnosis.report.words import (
     SHORT_SIDES,
     cause_words,
-    effect_words,
     finding_words,
     key_words,
     meaning,
@@ -135,10 +134,9 @@ def _regressed(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
         with_others = "".join(
             f" {'+' if f > 0 else '−'} {plain(abs(f), 2)} × {name}" for name, f in each.known_with.items()
         )
-        of = "of" if each.effect == INERTIAL else "at"
-        what = f"{effect_words(each.effect)}: {each.parameter} {of} {each.place}{with_others}"
-        known = estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))
-        rows.append((what, *known, percent(each.probability)))
+        value, interval = estimate(Estimate(each.value, each.sd, each.interval_90, each.unit))
+        value += f" ({', '.join(of_parts(each))})" * bool(each.by_part)
+        rows.append((number_words(each) + with_others, value, interval, percent(each.probability)))
     return rows
 
 

@@ -17,7 +17,7 @@ from invdyn.diagnosis.assessment.result import (
 )
 from invdyn.diagnosis.report.file_sentences import at_edges, at_work, changes, learned, written
 from invdyn.diagnosis.report.numbers import handies, handy, known, largest, percent
-from invdyn.diagnosis.report.regression_sentences import interim, of_torque, regression_words
+from invdyn.diagnosis.report.regression_sentences import differing, interim, of_torque, regression_words
 from invdyn.diagnosis.report.words import (
     SIDES,
     cause_words,
@@ -266,6 +266,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
     if answer == "not_enough_data":
         return []  # the reason has the remedy
     found = [f"{why}."] if (why := diagnosis.method.get(NO_SEARCH)) else []
+    found += [text] if (regression := diagnosis.regression) and (text := differing(regression)) else []
     behind = not why and _by_regression(diagnosis)  # then what the search found is not the answer
     if answer != "none":
         own = (_search_behind(diagnosis),) if behind else (_closed(diagnosis), _each(diagnosis))
