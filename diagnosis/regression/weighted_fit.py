@@ -184,7 +184,8 @@ def _with_parts(fit: Fitted, effects: LinearEffects, choice: Choice, part: np.nd
         A = np.einsum("k,kpq->pq", weight, gram[:, own][:, :, own]) + np.diag(prior) / (len(edges) - 1)
         inverse = _inverse(A)
         found.append((inverse @ (weight @ cross[:, own]), inverse + fit.discrepancy.sum(0)))
-    parts = Parts(*map(np.array, zip(*found, strict=True)), FIXED.disagreement / len(own))  # Bonferroni's level
+    values, covariances = map(np.array, zip(*found, strict=True))
+    parts = Parts(values, covariances, FIXED.disagreement / len(own))  # Bonferroni's level
     grow = parts.spread(np.eye(len(own))) / np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
     between = fit.covariance * grow[:, None] * grow
     return replace(fit, parts=parts, discrepancy=np.concatenate([fit.discrepancy, [between]]))
