@@ -74,7 +74,8 @@ def at_rest(recording: Recording, body: Body, base: str | None = None) -> tuple[
     ``base`` is a name that it may have besides the body's own.
     """
     known = (body.base_keypoint, base, site_at_base(body))
-    own = next((each for each in known if each in recording.keypoint_names), None)
+    seen = [name for name in recording.keypoint_names if np.isfinite(recording.keypoint(name)).any()]
+    own = next((each for each in known if each in seen), None)
     if own is None or recording.keypoints.shape[-1] != body.dimensions:
         return recording, None
     steady = recording.relative_to(own).moved(body.base)

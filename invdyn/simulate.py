@@ -21,6 +21,7 @@ from invdyn.models import (
 )
 from invdyn.models.divergence import check_finite
 from invdyn.recordings import InputError, Recording, Truth
+from invdyn.recordings.units import Units
 
 STEP = 0.004  # s, the longest step of the Runge–Kutta integrator: its own error lies far below any camera's
 MAX_FRAMES = 1_000_000  # nine hours of film
@@ -83,6 +84,7 @@ def record(model: ArmModel, seed: int = 0, name: str = "simulated") -> tuple[Rec
         torques=command,
         joint_names=body.joint_names if encoders or command is not None else (),
         name=name,
+        units=Units(length="m", angle="rad", time="s"),
     )
     torque = model.net_torque(states).numpy()
     return recording, Truth(time, angle, velocity, torque, body.joint_names)

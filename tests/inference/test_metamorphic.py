@@ -136,11 +136,15 @@ def test_moved_elsewhere(plain):
     assert_same(plain, infer(moved(SWING, shift=shift), arm(base=shift), **ONE))
 
 
-@pytest.mark.parametrize(("factor", "options"), [(10.0, SMALL), (1 / 0.65, ONE)], ids=["mixture", "one process"])
-def test_lengths_in_another_unit(plain, mixed, factor, options):
+@pytest.mark.parametrize(
+    ("factor", "unit", "options"),
+    [(10.0, "m", SMALL), (1 / 0.65, "body length", ONE)],
+    ids=["mixture", "one process"],
+)
+def test_lengths_in_another_unit(plain, mixed, factor, unit, options):
     """In decimetres, or in lengths of the body: torques go with the square, a density by the number of entries."""
     body = arm(lengths=factor * np.array([0.35, 0.3]), gravity=factor * np.array(ARM.gravity))
-    other = infer(SWING.scaled(factor, "body length"), body, **options)
+    other = infer(SWING.scaled(factor, unit), body, **options)
     one = mixed if options is SMALL else plain
     assert_same(one, other, torque=factor**2, shift=-SWING.keypoints.size * math.log(factor))
 
