@@ -36,7 +36,8 @@ def engine_reasons(given: "Recorded", engine: str) -> list[str] | None:
     By default it is for a table of keypoints whose body's file holds what rigid links with joints lack. Raises
     InputError for another word than ``ENGINES``, and for a file that MuJoCo does not read.
     """
-    from invdyn.models.engine.needed import reasons_for_engine
+    from invdyn.models import Scene
+    from invdyn.models.engine.needed import reasons, reasons_for_engine
     from invdyn.recordings import InputError
 
     from .inputs import TABLE, source_of
@@ -55,10 +56,9 @@ def engine_reasons(given: "Recorded", engine: str) -> list[str] | None:
             raise InputError("--set engine=mujoco: expected --body with MuJoCo's file, got a person's height")
         return None
     with body_file(given.body) as path:
-        found = reasons_for_engine(path)
-    if engine == "mujoco":
-        return found or ["as --set engine says"]
-    return found or None
+        if engine == "mujoco":
+            return reasons(Scene.of(Path(path))) or ["as --set engine says"]
+        return reasons_for_engine(path) or None
 
 
 def infer_by_engine(

@@ -34,9 +34,11 @@ from .plots import (
     GREEN,
     INK,
     OF_CONTACT,
+    ORANGE,
     PURPLE,
     STYLE,
     VERMILION,
+    actuator_curves,
     draw_bands,
     draw_truth,
     draw_unseen,
@@ -248,8 +250,12 @@ def still_parts(
     joints = idata["posterior"]["joint"].values
     time = idata["posterior"]["time"].values
     unit, views = idata["posterior"]["position"].attrs["units"], VIEWS[arms.shape[-1]]
-    columns = max(1 if len(joints) <= 3 else 2, len(views))
-    rows = -(-len(joints) // columns)
+    shown = "torque" if "torque" in idata["posterior"] else "angle"  # a kinematic model knows no forces
+    bands, known = quantiles(idata, shown), idata["constant_data"]
+    curves = [(f"{joint} {shown}", unit_of(idata, shown, k), bands[..., k]) for k, joint in enumerate(joints)]
+    curves += next(iter(actuator_curves(idata).values()), [])  # activations, else actuators' forces
+    columns = max(1 if len(curves) <= 3 else 2, len(views))
+    rows = -(-len(curves) // columns)
     # a tracker's outlier must not shrink the arm to a dot
     none, drawn = np.empty((0, arms.shape[-1])), sorted({place for line in skeleton(idata) for place in line})
     far = np.nanpercentile(observed, (1, 99), axis=(0, 1)) if np.isfinite(observed).any() else none
@@ -268,21 +274,20 @@ def still_parts(
         axes = figure.add_subplot(grid[0, :] if len(views) == 1 else grid[0, number])
         (left, bottom), (right, top) = low[list(view)], high[list(view)]
         axes.set(xlim=(left, right), ylim=(bottom, top) if film is None else (top, bottom), aspect="equal")
-        across, up = ("xyz"[place] for place in view)
+        across, up = (idata["posterior"]["space"].values[place] for place in view)
         axes.set(xlabel=f"{across} ({unit})", ylabel=f"{up} ({unit})")
         arm_axes.append(axes)
-    shown = "torque" if "torque" in idata["posterior"] else "angle"  # a kinematic model knows no forces
-    bands, known = quantiles(idata, shown), idata["constant_data"]
     torque_axes = []
-    for number, joint in enumerate(joints):
+    for number, (title, own_unit, own) in enumerate(curves):
         axes = figure.add_subplot(grid[1 + number // columns, number % columns])
-        draw_bands(axes, time, bands[:, :, number], PURPLE)
-        draw_unseen(axes, idata, number)
-        if f"truth_{shown}" in known:
-            draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
-        axes.set_title(f"{joint} {shown} ({unit_of(idata, shown, number)})", loc="left")
+        draw_bands(axes, time, own, PURPLE if number < len(joints) else ORANGE)
+        if number < len(joints):
+            draw_unseen(axes, idata, number)
+            if f"truth_{shown}" in known:
+                draw_truth(axes, time, known[f"truth_{shown}"].values[:, number])
+        axes.set_title(f"{title} ({own_unit})" if own_unit else title, loc="left")
         axes.set_xlim(time[0], time[-1])
-        if number >= len(joints) - columns:
+        if number >= len(curves) - columns:
             axes.set_xlabel("time (s)")
         else:
             axes.tick_params(labelbottom=False)
@@ -308,7 +313,7 @@ def write_gif(frames: Iterator[np.ndarray], time: np.ndarray, path: Path) -> Non
     durations = 10 * np.maximum(np.diff(hundredths), 2)
     durations = [*durations.tolist(), 1000]  # rest a second before the film starts again
     # the film's own colours fading into white: a palette taken from one frame would tint the others
-    inks = np.array([to_rgb(color) for color in (INK, BLUE, VERMILION, PURPLE)])
+    inks = np.array([to_rgb(color) for color in (INK, BLUE, VERMILION, PURPLE, GREEN, ORANGE)])
     shades = 1 - np.linspace(0, 1, 16)[:, None, None] * (1 - inks)
     palette = Image.new("P", (1, 1))
     palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())

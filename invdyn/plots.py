@@ -1,11 +1,11 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands.
 
-Each joint has a row with its angle (rad) and its torque (N·m), and below them each contact that acts one with its force
-(N) and its centre of pressure (m). Next to them each tracked keypoint has a row, or a point of the body where none was
-tracked: observed and predicted, in the recording's length unit. Rows that tell nothing of a
-coordinate are hatched: what is drawn there is the prior. Rows in which the filters kept few effective particles are
-marked below the torques: bands there differ from one seed to the next. A panel shows what nearly all rows hold, and a
-triangle at its edge says where a curve or a point leaves it.
+Each joint has a row with its angle (rad) and its torque (N·m). Below them each contact that acts has one with its force
+(N) and its centre of pressure (m), and each actuator that is inferred one with its activation and its force (N). Next
+to them each tracked keypoint has a row, or a point of the body where none was tracked: observed and predicted, in the
+recording's length unit. Rows that tell nothing of a coordinate are hatched: what is drawn there is the prior. Rows in
+which the filters kept few effective particles are marked below the torques: bands there differ from one seed to the
+next. A panel shows what nearly all rows hold, and a triangle at its edge says where a curve or a point leaves it.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
@@ -55,8 +55,9 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     group = "posterior_predictive" if predicted else "posterior"
     shown = slice(None) if predicted else slice(-len(joints), None)  # a robot's file may name many points
     keypoints, tips = idata[group]["keypoint"].values[shown], quantiles(idata, "position", group)[:, :, shown]
-    contacts = acting(idata)
-    rows = max(len(joints) + len(contacts), len(keypoints))
+    contacts, actuators = acting(idata), actuator_curves(idata)
+    above = len(joints) + len(contacts)
+    rows = max(above + max((len(curves) for curves in actuators.values()), default=0), len(keypoints))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 1.9 * rows + 1.0), layout="constrained")
         grid = figure.add_gridspec(rows, 3)
@@ -95,6 +96,14 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 axes.set_ylabel(posterior[name].attrs["units"])
                 for bands, color in zip(contact_bands(idata, name, contact), AXIS_COLORS.values(), strict=True):
                     draw_bands(axes, time, bands, color)
+                    axes.get_lines()[-1].set(marker=".", markersize=3)  # a lone row has no line
+                limit_to_usual(axes, time)
+        for column, curves in actuators.items():
+            for row, (title, unit, bands) in enumerate(curves, above):
+                axes = figure.add_subplot(grid[row, column])
+                axes.set_title(title, loc="left")
+                axes.set_ylabel(unit)
+                draw_bands(axes, time, bands, ORANGE)
                 limit_to_usual(axes, time)
         for axes in figure.axes:
             axes.set_xlim(time[0], time[-1])
@@ -133,6 +142,18 @@ def contact_bands(idata: az.InferenceData, name: str, contact: str) -> np.ndarra
     return found.swapaxes(0, 1)
 
 
+def actuator_curves(idata: az.InferenceData) -> dict[int, list[tuple[str, str, np.ndarray]]]:
+    """Of each column of the figure: titles, units and QUANTILES (5, time) of activations and of actuators' forces."""
+    found = {}
+    for column, (name, dim, words, unit) in enumerate(OF_ACTUATOR, 1):
+        if name in idata["posterior"]:
+            bands = quantiles(idata, name)
+            titles = [f"{each} {words}" for each in idata["posterior"][dim].values]
+            found[column] = [(title, unit, bands[..., k]) for k, title in enumerate(titles)]
+    return found
+
+
+OF_ACTUATOR = (("activation", "activation_of", "activation", ""), ("actuator_force", "actuator", "force", "N"))
 MAX_PANELS = 8
 """States that a comparison draws, the first ones."""
 

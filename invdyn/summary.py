@@ -14,7 +14,7 @@ from invdyn.inference import Comparison, evidence_note, functional_table, learne
 from invdyn.inference.posterior.functionals import MIN_TIMES
 from invdyn.inference.posterior.posterior import uneven
 
-from .plots import quantiles
+from .plots import quantiles, unit_of
 
 
 def torque_table(idata: az.InferenceData) -> pd.DataFrame:
@@ -23,14 +23,15 @@ def torque_table(idata: az.InferenceData) -> pd.DataFrame:
 
 
 def quantity_table(idata: az.InferenceData, quantity: str) -> pd.DataFrame:
-    """One row a joint: size of its torque, or another quantity, width of the interval, and how far from a truth.
+    """One row a joint, or an actuator: size of its torque, or of another quantity, width of its interval, its error.
 
     Columns: `rms` and `peak` of the posterior median; `± 90 %`, half the 90 % interval's mean width; and over
     the frames whose true value is known, `error rms`, `correlation`, and `90 % covers`, the share of them
     whose interval holds the truth.
     """
     low, _, median, _, high = quantiles(idata, quantity)
-    table = pd.DataFrame(index=pd.Index(idata["posterior"]["joint"].values, name="joint"))
+    of = str(idata["posterior"][quantity].dims[-1])
+    table = pd.DataFrame(index=pd.Index(idata["posterior"][of].values, name=of.removesuffix("_of")))
     table["rms"] = np.sqrt((median**2).mean(axis=0))
     table["peak"] = np.abs(median).max(axis=0)
     table["± 90 %"] = ((high - low) / 2).mean(axis=0)
@@ -81,6 +82,9 @@ def doubts_of(idata: az.InferenceData) -> list[str]:
     return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *few, *body]
 
 
+OF_ACTUATORS = {"activation": "Activations", "actuator_force": "Forces of actuators (N)"}
+
+
 def summary_text(idata: az.InferenceData) -> str:
     """What is in doubt first; then the table above and a line on evidence and sampler, where the method has them."""
     filters, frames = idata["sample_stats"].sizes["filter"], idata["posterior"].sizes["time"]
@@ -94,12 +98,15 @@ def summary_text(idata: az.InferenceData) -> str:
         known.append(f"{bound}log evidence {doubt}" if doubt else f"{bound}log evidence {evidence:.2f}")
     if "ess" in idata["sample_stats"]:
         known.append(f"outer effective sample size {outer:.1f} of {filters} filters")
-    unit = idata["posterior"][quantity].attrs["units"]
+    unit = " or ".join(dict.fromkeys(unit_of(idata, quantity, k) for k in range(idata["posterior"].sizes["joint"])))
     settings = json.loads(idata.attrs["settings"])
     doubts = doubts_of(idata)
     lines = [f"{line}\n" * (line is doubts[-1]) or line for line in doubts]
     lines += [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     lines += _of_paths(idata)
+    for name, title in OF_ACTUATORS.items():
+        if name in idata["posterior"]:
+            lines += [f"{title}\n\n{quantity_table(idata, name).to_string(float_format='{:.3g}'.format)}\n"]
     length = idata["posterior"]["position"].attrs["units"]
     lines += [f"{link}: length {mean:.4g} ± {sd:.2g} {length}" for link, (mean, sd) in learned_lengths(idata).items()]
     if torques := settings.get("torque_evidence"):

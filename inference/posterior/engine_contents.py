@@ -3,7 +3,7 @@
 posterior             torque [chain, draw, time, joint] N·m (N of slides), the generalised force of the drive at each
                       degree of freedom; angle rad and velocity rad/s of them; position [.., keypoint, space];
                       drive [.., input] in each input's unit (controls, excitations, wrenches); activation
-                      [.., activation] and actuator_force [.., actuator] N where the file's actuators are the drive;
+                      [.., activation_of] and actuator_force [.., actuator] N where the file's actuators are the drive;
                       contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch;
                       reaction_force N and reaction_moment N·m [.., link, axis] on each body with a joint
 posterior_predictive  position, angle, sensor with observation noise
@@ -58,7 +58,7 @@ def engine_contents(
     ``reasons`` say why MuJoCo's engine was taken.
     """
     scene, joints = model.scene, [*DRAWS, "time", "joint"]
-    z, tangent, velocity, activation = model.split(paths)
+    z, tangent, velocity, _ = model.split(paths)
     flat = paths.reshape(-1, *paths.shape[-2:]).numpy()
     force, actuator_force = generalised_forces(model, flat)
     lead = paths.shape[:2]
@@ -74,7 +74,8 @@ def engine_contents(
         shape = (*lead, *actuator_force.shape[1:])
         posterior["actuator_force"] = ([*DRAWS, "time", "actuator"], actuator_force.reshape(shape))
     if model.na:
-        posterior["activation"] = ([*DRAWS, "time", "activation_of"], activation)
+        activation = model.physics(flat.reshape(-1, model.state_dim))[:, -model.na :]  # within its limits
+        posterior["activation"] = ([*DRAWS, "time", "activation_of"], activation.reshape(*lead, -1, model.na))
     contacts = contact_forces(model, flat)
     if contacts.pairs:
         sizes = [*DRAWS, "time", "contact", "axis"]

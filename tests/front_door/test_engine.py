@@ -87,6 +87,14 @@ def test_what_has_no_part_in_it_is_refused(leg, run, options, message):
     assert not (leg / "p.nc").exists()
 
 
+def test_a_file_that_mujoco_refuses_is_one_line(leg, run):
+    (leg / "leg.xml").write_text((leg / "leg.xml").read_text().replace('pos="0 0 .55"', 'pos="0 0 .4"'))
+    outcome = run("infer", leg / "leg.csv", "--body", leg / "leg.xml", "--set", "engine=mujoco", "--out", leg / "p.nc")
+    assert outcome.exit_code == 2
+    assert outcome.output.startswith(f"error: {leg / 'leg.xml'}: foot starts 0.125 m inside floor: move the body")
+    assert "warning" not in outcome.output
+
+
 def test_a_keypoint_that_the_file_does_not_have(leg, run):
     text = (leg / "leg.csv").read_text().replace("knee", "ankle")
     (leg / "leg.csv").write_text(text)

@@ -21,8 +21,9 @@ from invdyn.film import (
     save_film,
     shown_frames,
     still_parts,
+    write_gif,
 )
-from invdyn.plots import GREEN, VERMILION
+from invdyn.plots import GREEN, ORANGE, VERMILION
 from invdyn.recordings import InputError
 
 
@@ -47,6 +48,26 @@ def test_gif_shows_every_frame_at_the_recordings_speed(make_posterior, tmp_path,
     assert durations[:-1].sum() == pytest.approx(24 * interval, abs=0.0051)
     assert (np.abs(np.diff(frames.astype(float), axis=0)).max(axis=(1, 2, 3)) > 50).all(), "a frame stands still"
     assert list(tmp_path.iterdir()) == [tmp_path / "film.gif"]
+
+
+def test_a_gif_has_the_colours_of_all_that_is_drawn(tmp_path):
+    """A force's line is green, not the nearest of other colours."""
+    inks = [np.full((2, 2, 3), np.round(255 * np.array(to_rgb(color))), np.uint8) for color in (GREEN, ORANGE)]
+    write_gif(iter(inks), np.arange(2) / 10, tmp_path / "film.gif")
+    np.testing.assert_array_equal(gif(tmp_path / "film.gif")[0], inks)
+
+
+def test_axes_and_panels_are_named_for_what_they_show(make_posterior):
+    """Axes as the posterior's coordinates; panels of activations, where it has some, below those of torques."""
+    idata = make_posterior(1, num_frames=4)
+    idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
+    activation = idata.posterior.torque.drop_vars("joint").rename(joint="activation_of")
+    idata.posterior["activation"] = activation.assign_coords(activation_of=["biceps"])
+    _, (axes,), panels = still_parts(idata, arm_points(idata), np.full((4, 1, 2), np.nan), None)
+    assert [axes.get_xlabel(), axes.get_ylabel()] == ["x (m)", "z (m)"]
+    joint = str(idata.posterior.joint.values[0])
+    titles = [f"{joint} torque (N·m)", "biceps activation"]
+    assert [each.get_title(loc="left") for each in panels] == titles
 
 
 def test_background_is_white_and_stays(make_posterior, tmp_path):

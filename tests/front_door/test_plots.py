@@ -9,6 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from invdyn.plots import AXIS_COLORS, plot_posterior, quantiles, save_figure, usual_range
+from invdyn.summary import quantity_table, summary_text
 
 
 def panel(figure, title):
@@ -145,6 +146,31 @@ def test_contacts_that_act_have_panels_of_force_and_centre(make_posterior):
     idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
     keypoint = plot_posterior(idata).axes[0].get_lines()
     assert [line.get_color() for line in keypoint[:2]] == [AXIS_COLORS["x"], AXIS_COLORS["z"]]
+
+
+def test_actuators_have_panels_below_contacts_and_lines_in_the_summary(make_posterior):
+    """Activations are to the left of forces; a motor has no activation."""
+    idata = make_posterior(1)
+    drawn = idata.posterior.torque.isel(joint=[0, 0]).transpose("chain", "draw", "time", "joint")
+    for name, dim, names in (
+        ("activation", "activation_of", ["biceps"]),
+        ("actuator_force", "actuator", ["biceps", "motor"]),
+    ):
+        values = drawn.isel(joint=slice(len(names))).drop_vars("joint").rename(joint=dim) + 100.0 * len(names)
+        idata.posterior[name] = values.assign_coords({dim: names})
+    figure = plot_posterior(idata)
+    assert len(figure.axes) == 3 + 3
+    excited, pulled, pushed = (
+        panel(figure, f"{name}") for name in ("biceps activation", "biceps force", "motor force")
+    )
+    assert [axes.get_ylabel() for axes in (excited, pulled, pushed)] == ["", "N", "N"]
+    places = [axes.get_subplotspec() for axes in (excited, pulled, pushed)]
+    assert [(each.rowspan.start, each.colspan.start) for each in places] == [(1, 1), (1, 2), (2, 2)]
+    np.testing.assert_allclose(excited.get_lines()[0].get_ydata(), quantiles(idata, "torque")[2, :, 0] + 100)
+    table = summary_text(idata).split("Forces of actuators (N)")[1]
+    assert "actuator" in table
+    assert table.index("biceps") < table.index("motor")
+    assert quantity_table(idata, "activation").index.tolist() == ["biceps"]
 
 
 def test_encoders_alone_are_enough(make_posterior):

@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from invdyn.inference import Bootstrap, ParticleFilter, SMCOptions, infer_engine, infer_states
 from invdyn.inference.filters.filtering import run_filters
-from invdyn.inference.posterior.engine_contents import contact_lines, generalised_forces
+from invdyn.inference.posterior.engine_contents import contact_lines, engine_contents, generalised_forces
 from invdyn.inference.posterior.engine_problem import driven_joints
 from invdyn.inference.smoothing.linearised import gaussian_smoother
 from invdyn.models import Controls, EngineModel, JointTorques, Keypoints, Observation, Scene
@@ -144,6 +144,18 @@ def test_ranks_of_muscles_are_even():
         for t in (5, 11):
             ranks += [np.mean(draws[:, t, k] < float(path[t, k])) for k in (0, 1, 4, 5)]
     assert kstest(ranks, "uniform").pvalue > 0.01
+
+
+def test_activations_are_within_their_limits():
+    """A state beyond them counts as the limit, as it does in the dynamics."""
+    model = muscled(3)
+    paths = model.simulate((1, 2), seed=0)[0]
+    paths[0, 0, 1, -2:] = torch.tensor([-0.3, 1.4])
+    recording = Recording(model.time.numpy(), np.zeros((3, 1, 2)), ("wrist",))
+    rows = torch.zeros(1, 2, 3, model.observation_dim)
+    found = engine_contents(model, rows[0, 0], recording, None, (), paths, rows).posterior["activation"][1]
+    np.testing.assert_allclose(found[0, 0, 1], [0, 1])
+    np.testing.assert_allclose(found[0, 1], paths[0, 1, :, -2:].clamp(0, 1))
 
 
 def test_what_does_not_fit_is_refused():
