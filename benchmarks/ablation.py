@@ -112,8 +112,7 @@ def filed(case: Path) -> tuple[DiagnosisProblem, tuple[str, ...]]:
     """The problem of a case in a folder, and effects to leave out."""
     public = json.loads((case / "case.json").read_text())
     body = Body.from_toml(case / "body.toml")
-    names = {"keypoints": body.keypoint_names, "joints": body.joint_names, "base": body.base_keypoint}
-    recording = read_keypoint_csv(case / "recording.csv", **names)
+    recording = read_keypoint_csv(case / "recording.csv", joints=body.joint_names)
     return diagnosis_problem(recording, body, passive=public["regime"] == "passive"), tuple(public["without"])
 
 

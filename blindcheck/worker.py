@@ -23,10 +23,9 @@ def diagnose_case(case: Path, out: Path, without: Iterable[str] = ()) -> None:
 
     public = json.loads((case / "case.json").read_text(encoding="utf-8"))
     body = load_body(case / "body.toml")
-    base = body.base_keypoint
 
     def read(name: str) -> Recording:
-        return read_keypoint_csv(case / name, keypoints=body.keypoint_names, joints=body.joint_names, base=base)
+        return read_keypoint_csv(case / name, joints=body.joint_names)
 
     found = diagnose(
         read("recording.csv"),

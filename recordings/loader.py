@@ -45,8 +45,7 @@ def load(
         units: a comma-separated list such as "px" or "mm,deg"; what the numbers in the file are. Only the
             project's own CSV (metres, radians) and files that carry their units go without.
         fps: frames a second, for files without times and for numbers of frames.
-        keypoints: the names to keep and their order, from a body; the default keeps all. The project's own
-            CSV may hold no others; other files may.
+        keypoints: the names to keep and their order, from a body; the default keeps all.
         joints: likewise, of angles and commands.
         format: a key of `formats.FORMATS`; by default it is recognised.
         base: the keypoint at the first joint. Where the file has it, all are moved by one constant, so that the
@@ -102,7 +101,7 @@ def read_file(
     form, declared = stated_format(path, units, fps, format, individual)
     with about(path):
         if form.read is None:
-            recording = read_keypoint_csv(path, keypoints=keypoints, joints=joints, base=base, fps=fps)
+            recording = read_keypoint_csv(path, joints=joints, fps=fps)
         else:
             recording = form.read(path, fps, individual)
         recording = without_zeros(recording, pixels=declared.length == "px")
@@ -172,7 +171,7 @@ def _check_time_unit(form: Format, declared: Units, fps: float | None) -> None:
 def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_frame: bool) -> None:
     """Refuse a base that differs in case or space from a keypoint; say that it is not tracked, where that is odd.
 
-    In the body's own frame, where the project's own file is by contract, a base need not be tracked.
+    In the body's own frame, where a file of ours with its keypoints alone is by contract, a base need not be tracked.
     """
     known = recording.keypoint_names
     if near := same_letters(base, [name for name in known if name not in keypoints]):
@@ -180,7 +179,7 @@ def _check_base(recording: Recording, base: str, keypoints: Sequence[str], own_f
             f"keypoint {near!r} differs from the first joint's name, {base!r}, in case or spaces alone: rename one of "
             f"them, or pass --set base={near}"
         )
-    if not own_frame and known:
+    if known and not (own_frame and not {*known} > {*keypoints} > set()):
         warnings.warn(
             f"{recording.name}: the base {base!r} is not tracked (the file has {some(known)}), so it is taken to "
             "rest where the body's is, in the file's own frame; pass --set base=NAME, a keypoint, if it is one",

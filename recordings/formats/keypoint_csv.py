@@ -25,24 +25,21 @@ AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
 TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
 OF_LOGS = ("position", "velocity", "effort", "target")  # endings of a robot's own columns
+OF_TRACKERS = ("conf", "vis", "score", "prob")  # beginnings of their words for a likelihood
 MAX_HINTS = 5  # names in a message
 
 
 def read_keypoint_csv(
     path: str | Path,
     *,
-    keypoints: Sequence[str] | None = None,
     joints: Sequence[str] | None = None,
-    base: str | None = None,
     fps: float | None = None,
 ) -> Recording:
     """Read one such file.
 
     Args:
         path: the file.
-        keypoints: the names to expect and their order, from a body; by default those in the header.
-        joints: likewise for the joints.
-        base: one more keypoint that may be there, the first joint's; it then comes first.
+        joints: the names to expect and their order, from a body; by default those in the header.
         fps: frames a second, of a file with numbers of frames in place of times.
 
     Raises:
@@ -53,17 +50,10 @@ def read_keypoint_csv(
     """
     columns, where = read_table(path)
     with about(path):
-        found = _split(columns, keypoints or (), joints or ())
-        in_file = _distinct(stem for stem, suffix in found if suffix in AXES)
-        if keypoints is None:
-            points = in_file
-        else:
-            first = tuple(name for name in in_file if name == base and name not in keypoints)
-            points = first + _expected(
-                "keypoint", keypoints, [p for p in in_file if p not in first], [base] if base and not first else []
-            )
+        found = _split(columns, joints or ())
+        points = _distinct(stem for stem, suffix in found if suffix in AXES)
         in_file = _distinct(stem for stem, suffix in found if suffix in ("torque", "angle"))
-        names = in_file if joints is None else _expected("joint", joints, in_file)
+        names = in_file if joints is None else _expected(joints, in_file)
         for stem in _distinct(stem for stem, suffix in found if suffix == "likelihood"):
             if stem not in points:
                 raise InputError(f"column '{stem}_likelihood' belongs to no keypoint: there is no '{stem}_x'")
@@ -125,7 +115,7 @@ def write_keypoint_csv(recording: Recording, path: str | Path) -> None:
     write_table(columns, path)
 
 
-def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[str]) -> list[tuple[str, str]]:
+def _split(columns: Iterable[str], joints: Sequence[str]) -> list[tuple[str, str]]:
     """Column names as (stem, suffix), the clock left out; InputError for one that is neither, and not one clock."""
     columns = list(columns)
     clocks = [clock for clock in CLOCKS if clock in columns]
@@ -144,9 +134,10 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
                 f"that says which column is which joint's, or rename the columns to <joint>_angle and <joint>_torque"
             )
         if not stem or suffix not in SUFFIXES:
-            stems = {s for s, _ in found if s} | {*keypoints, *joints}
+            stems = {s for s, _ in found if s} | {*joints}
             known = [*CLOCKS, *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
+            whole += [f"{stem}_likelihood" for end in OF_TRACKERS if suffix.casefold().startswith(end)]
             near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
                 f"unknown column {column!r}{'' if near_one is None else f'; the closest known is {near_one!r}'} "
@@ -155,23 +146,17 @@ def _split(columns: Iterable[str], keypoints: Sequence[str], joints: Sequence[st
     return found
 
 
-def _expected(
-    kind: str, expected: Sequence[str], in_file: Sequence[str], others: Sequence[str] = ()
-) -> tuple[str, ...]:
-    """The expected names, or none if the file has none; InputError when more are there (`others` might be), or less."""
+def _expected(expected: Sequence[str], in_file: Sequence[str]) -> tuple[str, ...]:
+    """The names of joints that are expected, or none if the file has none; InputError when it has others."""
     if not in_file:
         return ()
     unknown = [name for name in in_file if name not in expected]
     missing = [name for name in expected if name not in in_file]
-    if unknown or (missing and kind == "keypoint"):
-        hints = [
-            f"unknown {name!r}{closest(name, [*missing, *others])}"
-            for name in unknown[:MAX_HINTS]
-            if expected or others
-        ]
+    if unknown:
+        hints = [f"unknown {name!r}{closest(name, missing)}" for name in unknown[:MAX_HINTS] if expected]
         wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:MAX_HINTS])])
         raise InputError(
-            f"the file's {kind}s ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
+            f"the file's joints ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
             "rename the columns or the body's names"
         )
     return tuple(expected)

@@ -152,7 +152,7 @@ def test_a_case_is_whole(kind, effect, tmp_path, monkeypatch):
     body = load_body(tmp_path / "body.toml")
     assert not body.is_chain
     assert 3 <= body.num_joints <= 7
-    read = read_keypoint_csv(tmp_path / "recording.csv", keypoints=body.keypoint_names, joints=body.joint_names)
+    read = read_keypoint_csv(tmp_path / "recording.csv", joints=body.joint_names)
     assert (read.torques is not None) == (case.regime == "commanded")
     assert read.angles is not None or read.keypoints.shape[1:] == (len(body.keypoint_names), 3)
     (answer,) = case.answer["effects"]

@@ -139,7 +139,7 @@ RECORDINGS = {
     "numbers of frames": (HEADER + "0,1,0,2,0\n1,1,0,2,0\n2,1,0,2,0\n", "--units frames --fps"),
     "milliseconds": (HEADER + "0,1,0,2,0\n40,1,0,2,0\n80,1,0,2,0\n", "--units ms"),
     "days between rows": (HEADER + "0,1,0,2,0\n0.04,1,0,2,0\n0.08,1,0,2,0\n90000,1,0,2,0\n", "(--frames :3)"),
-    "another case": (HEADER.replace("wrist", "Wrist") + "0,1,0,2,0\n0.04,1,0,2,0\n", "closest: 'wrist'"),
+    "another case": (HEADER.replace("wrist", "Wrist") + "0,1,0,2,0\n0.04,1,0,2,0\n", "closest: 'Wrist'"),
     "three coordinates": (
         "time,elbow_x,elbow_y,elbow_z,wrist_x,wrist_y,wrist_z\n0,1,0,0,2,0,0\n0.03,1,0,0,2,0,0\n",
         "plane",

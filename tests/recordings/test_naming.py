@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from invdyn.recordings import InputError, load
+from invdyn.recordings import InputError, Recording, load, write_keypoint_csv
 from invdyn.recordings.naming import nearest, of_one_side, same_letters
 
 
@@ -20,8 +20,8 @@ def test_no_name_is_offered_that_is_unlike_or_taken(tmp_path):
     with pytest.raises(InputError, match=r"'elbow_b' is missing: .* \(closest: 'Elbow B'\)"):
         load(film(tmp_path, "elbow", "Elbow B"), units="px", fps=30, keypoints=("elbow", "elbow_b"))
     (tmp_path / "rec.csv").write_text("time,elbow_x,elbow_y,hand_x,hand_y\n0,0,0,.3,0\n.1,0,0,.3,0\n")
-    with pytest.raises(InputError, match="unknown 'hand', missing 'wrist'"):
-        load(tmp_path / "rec.csv", keypoints=("elbow", "wrist"), base="shoulder")
+    with pytest.raises(InputError, match="'wrist' is missing: the file has elbow, hand; rename"):
+        load(tmp_path / "rec.csv", keypoints=("elbow", "wrist"))
 
 
 def film(tmp_path, *names):
@@ -48,8 +48,10 @@ def test_a_base_named_alike_is_offered_and_one_that_is_not_tracked_is_told(tmp_p
 
 def test_the_projects_own_file_offers_the_base_too(tmp_path):
     (tmp_path / "rec.csv").write_text("time,Hip_x,Hip_y,toe_x,toe_y\n0,0,0,.3,0\n.1,0,0,.3,0\n")
-    with pytest.raises(InputError, match=r"unknown 'Hip' \(closest: 'hip'\)"):
+    with pytest.raises(InputError, match="'Hip' differs from the first joint's name, 'hip'"):
         load(tmp_path / "rec.csv", keypoints=("toe",), base="hip")
+    with pytest.warns(UserWarning, match=r"base 'Hipp' is not tracked \(the file has Hip, toe\)"):
+        load(tmp_path / "rec.csv", keypoints=("toe",), base="Hipp")
 
 
 SIDES = ("R.Shoulder", "L.Shoulder", "R.Elbow", "L.Elbow", "R.Wrist", "L.Wrist", "R.Wrist.Ulnar")
@@ -92,3 +94,7 @@ def test_a_body_takes_its_keypoints_of_one_side(tmp_path):
         pytest.raises(InputError, match=r"rename one of them, or pass --set base=NAME, the first joint's"),
     ):
         load(path, base="shoulder", **asked)
+    ours = tmp_path / "ours.csv"
+    write_keypoint_csv(Recording([0.0, 0.1], np.random.default_rng(0).normal(size=(2, 4, 2)), SIDES[:4]), ours)
+    with pytest.warns(UserWarning, match="elbow is 'R.Elbow', as the base is 'R.Shoulder'"):
+        assert load(ours, base="R.Shoulder", keypoints=("elbow",)).keypoint_names == ("R.Shoulder", "elbow")
