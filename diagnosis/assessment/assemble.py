@@ -42,6 +42,7 @@ from invdyn.diagnosis.problem.regime import regime_of
 from invdyn.diagnosis.rules import DEFAULT, FIXED, Rules
 from invdyn.diagnosis.sensitivity.screen import added
 from invdyn.diagnosis.side_by_side import side_by_side
+from invdyn.inference.plausible_for_body import slides
 from invdyn.models import ArticulatedBody
 from invdyn.models.effects.base import side_of
 from invdyn.recordings import Recording
@@ -127,6 +128,7 @@ def assembled(
         posture=posture(body, along.angle[row] if (row := typical_row(along.angle)) is not None else None),
         noise=_noise(best),
         length_unit=bound.problem.recording.length_unit,
+        shifting=tuple(sorted(slides(body))),
         rules=bound.rules,
     )
 

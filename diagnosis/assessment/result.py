@@ -245,6 +245,7 @@ class Diagnosis:
     looked for in space. `posture` is what a picture of the body draws. `regression` says what a regression of the
     torque does, and `closing` how much of the missing torque, and of a replay's error, it and the search explain; None
     where torques are unknown. `regressed` is the regression as a cause, where it is the answer.
+    `shifting` names the joints that slide: N, m and m/s are theirs in place of N·m, rad and rad/s.
     `length_unit` is the recording's, such as "body length": m stands for it in all units, of torques too. In
     :meth:`to_json` `Cause.in_part` is
     "probability_in_part", `outside` "outside_catalogue" and an interval's `stop` its "end".
@@ -277,6 +278,7 @@ class Diagnosis:
     planar_only: tuple[str, ...] = ()
     noise: Noise | None = None
     length_unit: str = "m"
+    shifting: tuple[str, ...] = ()
     regression: Regression | None = field(default=None, compare=False)
     closing: Closing | None = field(default=None, compare=False)
     regressed: Cause | None = field(default=None, compare=False, repr=False)
@@ -286,6 +288,10 @@ class Diagnosis:
     def knows_torque(self) -> bool:
         """Whether torques are known, so that any residual is a gap."""
         return REGIMES[self.regime].knows_torque
+
+    def torque_unit(self, joint: str) -> str:
+        """N·m, or N of a joint that slides."""
+        return "N" if joint in self.shifting else "N·m"
 
     def to_json(self) -> dict:
         """The contract: what others read. Numbers that are not known are null."""

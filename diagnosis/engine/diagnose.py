@@ -112,13 +112,17 @@ def diagnose_engine(
 def _checked(recordings: Sequence[Recording], scene: Scene, force: bool, rules: Rules) -> dict[str, str]:
     """What the result says of recordings that were checked; raises InputError where one has a mistake that is sure."""
     said = {UNCHECKED: f"Not looked at: {BY_TORQUES}, as no regression has the forces of MuJoCo's constraints"}
-    shifting = [name for name, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns]
     refused = [
-        r for each in recordings for r in check_numbers(sensed(each, scene), scene.reach, shifting, force, rules)
+        r for each in recordings for r in check_numbers(sensed(each, scene), scene.reach, _slides(scene), force, rules)
     ]
     if refused:
         said[REFUSED] = f"By force, the diagnosis went on with a recording that is refused: {'; '.join(refused)}"
     return said
+
+
+def _slides(scene: Scene) -> tuple[str, ...]:
+    """Names of the degrees of freedom that shift."""
+    return tuple(n for n, turns in zip(scene.joint_names, turning_dofs(scene.model), strict=True) if not turns)
 
 
 def _assembled(log: EngineLog, found: HypothesisPool, seed: int, other: EngineLog | None) -> Diagnosis:
@@ -168,6 +172,7 @@ def _assembled(log: EngineLog, found: HypothesisPool, seed: int, other: EngineLo
                    and each.effect.key not in seen)
         ),
         tracks=_tracks(log, none, best, before, after),
+        shifting=_slides(scene),
         screened=tuple((each.effect.key, each.log_evidence - none.log_evidence) for each in first),
         visibility=tuple(Visibility(each.effect.key, "dynamics", each.dprime) for each in first),
         rules=rules,

@@ -41,7 +41,8 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
     found = []
     for j, name in enumerate(diagnosis.joint_names):
         before, after = tracks.residual_before[:, j], tracks.residual_after[:, j]
-        angle, velocity = np.degrees(tracks.angle[:, j]), np.degrees(tracks.velocity[:, j])
+        (way, unit), scale = (("position", "m"), 1.0) if name in diagnosis.shifting else (("angle", "°"), 180 / np.pi)
+        angle, velocity = scale * tracks.angle[:, j], scale * tracks.velocity[:, j]
         if not np.isfinite(before).any() or not np.isfinite(angle).any():
             continue
         peak = float(np.nanquantile(np.abs(before), 0.98))
@@ -52,7 +53,9 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
         stride = -(-len(angle) // (2 * FIXED.max_plot_points))
         sides, coloured = [], 0.0
         for words, residual in _sides(before, after):
-            plot = Plot(limits(angle), limits(velocity, zero=True), "angle, °", "velocity, °/s", (3, 4), 190)
+            plot = Plot(
+                limits(angle), limits(velocity, zero=True), f"{way}, {unit}", f"velocity, {unit}/s", (3, 4), 190
+            )
             plot.level(0.0)
             classes = np.where(np.isfinite(residual), np.searchsorted(edges, np.abs(residual)), -1)
             coloured = max(coloured, float(np.mean(classes > 0)))
@@ -60,11 +63,13 @@ def maps(diagnosis: Diagnosis) -> list[dict]:
                 for sign, mask in (("plus", residual >= 0), ("minus", residual < 0)):
                     here = np.flatnonzero(mask & (classes == c))[:: stride if c == 0 else max(stride // 2, 1)]
                     plot.dots(angle[here], velocity[here], f"dot {sign} c{c}")
-            rms = handy(root_mean_square(residual), "N·m")
-            sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its angle and velocity"))
+            rms = handy(root_mean_square(residual), diagnosis.torque_unit(name))
+            sides.append(plot.html(f"Residual torque of {name} {words}, {rms} rms, over its {way} and velocity"))
         key = [plain(edge, 2) for edge in edges]
         shown = {"joint": name, "before": sides[0], "after": sides[1] if len(sides) > 1 else None}
-        found.append(shown | {"key": key, "quiet": coloured <= FIXED.max_quiet_share})
+        found.append(
+            shown | {"unit": diagnosis.torque_unit(name), "key": key, "quiet": coloured <= FIXED.max_quiet_share}
+        )
     return found
 
 
@@ -84,20 +89,21 @@ def residuals(diagnosis: Diagnosis) -> list[dict]:
         return []
     found = []
     for j, name in enumerate(diagnosis.joint_names):
+        torque = diagnosis.torque_unit(name)
         halves = {"before": Z90 * tracks.residual_before_sd[:, j], "after": Z90 * tracks.residual_after_sd[:, j]}
         sides = _sides(tracks.residual_before[:, j], tracks.residual_after[:, j])
         pairs = [(words, mean, halves[words]) for words, mean in sides]
         usual = [np.nanmedian(half) if np.isfinite(half).any() else 0.0 for *_, half in pairs]
         everything = [v for (_, mean, _), wide in zip(pairs, usual, strict=True) for v in (mean - wide, mean + wide)]
-        plot = Plot(limits(tracks.time, margin=0), limits(*everything, zero=True), "time, s", "N·m", height=150)
+        plot = Plot(limits(tracks.time, margin=0), limits(*everything, zero=True), "time, s", torque, height=150)
         for words, mean, half in pairs:
             plot.band(tracks.time, mean - half, mean + half, f"band {words}")
         plot.level(0.0)
         for words, mean, _ in pairs:
             plot.line(tracks.time, mean, f"line {words}")
-        rms = [handy(root_mean_square(mean), "N·m") for _, mean, _ in pairs]
+        rms = [handy(root_mean_square(mean), torque) for _, mean, _ in pairs]
         after = rms[1] if len(rms) > 1 else None
         label = f"Residual torque of {name} over time: {rms[0]} rms" + (f" before, {after} after" if after else "")
-        command = None if tracks.command is None else handy(root_mean_square(tracks.command[:, j]), "N·m")
+        command = None if tracks.command is None else handy(root_mean_square(tracks.command[:, j]), torque)
         found.append({"joint": name, "figure": plot.html(label), "before": rms[0], "after": after, "command": command})
     return found

@@ -1,8 +1,10 @@
 """Sentences of a diagnosis about the simulation's own file: what of it changes, was learned, and was written."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from invdyn.diagnosis.assessment.result import Cause, Diagnosis, Written, named
 from invdyn.diagnosis.report.numbers import changed, handies, handy, percent
@@ -65,8 +67,11 @@ def learned(diagnosis: Diagnosis) -> list[str]:
     return found
 
 
-def written(copy: Written) -> list[str]:
-    """What the corrected file is, what it cannot say, and what MuJoCo is off by with it."""
+def written(copy: Written, shifting: Collection[str] = ()) -> list[str]:
+    """What the corrected file is, what it cannot say, and what MuJoCo is off by with it.
+
+    That is said of the joints that turn, and of those that are ``shifting`` where none turns.
+    """
     if copy.nothing is not None:
         return [f"No corrected file was written: {copy.nothing}."]
     what = _by_quantity(copy.changes)
@@ -79,11 +84,15 @@ def written(copy: Written) -> list[str]:
         found.append(_refined(copy.refined))
     if (tried := copy.rollout) is not None:
         total, on = tried["total_rms_rad"], "a withheld recording" if tried["held_out"] else "the same recording"
-        before, after = handies("rad", total["before"], total["after"])
+        off = tried["angle_rms_rad"]
+        turning = [name for name in off if name not in shifting]
+        rms = [np.sqrt(np.mean([off[n][when] ** 2 for n in turning or off])) for when in ("before", "after")]
+        before, after = handies("rad" if turning else "m", *rms)
+        quantity = "angles" if turning else "positions"
         found.append(
             f"{tried['engine']} replayed {on}, and restarted every {tried['window_s']:g} s from the state that the "
-            f"file itself is consistent with. Its angles are off by {after} rms with the corrected file, by {before} "
-            "with the original."
+            f"file itself is consistent with. Its {quantity} are off by {after} rms with the corrected file, by "
+            f"{before} with the original."
         )
         if (whole := tried.get("whole_rms_rad")) is not None:
             found.append(_whole(whole))

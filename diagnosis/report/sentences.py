@@ -83,10 +83,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     hidden = {joint: FIXED.clear_torque * limit for joint, limit in diagnosis.gap.tolerated_torque.items()}
     joint, torque = max(hidden.items(), key=lambda each: each[1])
     rest = ", and not all effects were examined" * bool(diagnosis.not_looked_at)
-    where = place_words("joint", joint)
-    return (
-        f"By regression alone no gap shows, but {handy(torque, 'N·m')} at {where} could be missing and not show{rest}."
-    )
+    lacks = f"{handy(torque, diagnosis.torque_unit(joint))} at {place_words('joint', joint)}"
+    return f"By regression alone no gap shows, but {lacks} could be missing and not show{rest}."
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -152,7 +150,7 @@ def _explained(diagnosis: Diagnosis, answer: str) -> str | None:
         share = longest.closed[closing.shown][0]
         text += f" and {percent(max(share, 0.0))} of the error of a replay of {longest.horizon:g} s"
     rest = [
-        f"{handy(after, 'N·m')} at {place_words('joint', joint)}"
+        f"{handy(after, diagnosis.torque_unit(joint))} at {place_words('joint', joint)}"
         for joint, after in zip(closing.joints, torque.after.tolist(), strict=True)
     ]
     if len(rest) > 2:
@@ -220,7 +218,7 @@ def _rest(diagnosis: Diagnosis, what: str) -> str:
     top = largest(after) if diagnosis.knows_torque else None
     if top is None:
         return f"{what} explains the rest"
-    rest = f"the rest, {handy(top[1], 'N·m')} at {place_words('joint', top[0])}"
+    rest = f"the rest, {handy(top[1], diagnosis.torque_unit(top[0]))} at {place_words('joint', top[0])}"
     if limits and all(after[joint] <= limit for joint, limit in limits.items()):
         return f"{rest}, is less than is tolerated"
     return f"{what} explains {rest}"
@@ -232,7 +230,7 @@ def _small(diagnosis: Diagnosis) -> str:
     shares = {n: gap.residual_torque_rms[n] / limit for n, limit in gap.tolerated_torque.items() if limit > 0}
     if (top := largest(shares)) is None:
         return ""
-    lacks, limit = handies("N·m", gap.residual_torque_rms[top[0]], gap.tolerated_torque[top[0]])
+    lacks, limit = handies(diagnosis.torque_unit(top[0]), gap.residual_torque_rms[top[0]], gap.tolerated_torque[top[0]])
     return f", {lacks} at {place_words('joint', top[0])} where {limit} is tolerated,"
 
 
@@ -291,7 +289,7 @@ def details(diagnosis: Diagnosis) -> list[str]:
             "(--budget gives more)."
         )
     if diagnosis.written is not None:
-        found += written(diagnosis.written)
+        found += written(diagnosis.written, diagnosis.shifting)
     if diagnosis.length_unit != "m":
         found.append(f"Lengths are in {diagnosis.length_unit}s: read that for m in every unit, of torques, too.")
     if not diagnosis.knows_torque and answer != "none":
@@ -336,7 +334,7 @@ def _closed(diagnosis: Diagnosis) -> str | None:
     at = {name: before[name] for name in _most(diagnosis.where.joints) if name in before}
     top = largest(at or before)
     if top and diagnosis.knows_torque and known(after := shrinkage.residual_torque_rms_after.get(top[0])):
-        old, new = handies("N·m", top[1], after)
+        old, new = handies(diagnosis.torque_unit(top[0]), top[1], after)
         change = f"stays at {old}" if old == new else f"changes from {old} to {new}"
         parts.append(f"the torque left unexplained at {place_words('joint', top[0])} {change}")
     replayed = [diagnosis.gap.replay_rms_m.get(name) for name in ("corrected", "nominal")]

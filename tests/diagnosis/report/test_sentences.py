@@ -24,6 +24,7 @@ from invdyn.diagnosis.regression.regress import Regression
 from invdyn.diagnosis.regression.stated_numbers import Stated
 from invdyn.diagnosis.regression.torque_closing import TorqueClosing
 from invdyn.diagnosis.report import render, words
+from invdyn.diagnosis.report.figures import maps
 from invdyn.diagnosis.report.file_sentences import written
 from invdyn.diagnosis.report.numbers import handy, percent
 from invdyn.diagnosis.report.sentences import details, kind, left, verdict, where
@@ -142,9 +143,26 @@ def test_what_was_written_is_named_not_counted():
 @pytest.mark.parametrize(("after", "told"), [(0.02, True), (0.005, False)])
 def test_a_corrected_file_that_is_no_nearer_is_not_recommended(after, told):
     change = {"place": "elbow", "quantity": "damping", "from": 0.1, "to": 0.2, "interval_90": [0.2, 0.2], "unit": "u"}
-    tried = {"engine": "MuJoCo", "held_out": True, "window_s": 1.0, "total_rms_rad": {"before": 0.01, "after": after}}
+    off = {"before": 0.01, "after": after}
+    tried = {"engine": "MuJoCo", "held_out": True, "window_s": 1.0, "angle_rms_rad": {"elbow": off}}
+    tried |= {"total_rms_rad": off}
     sentences = written(Written("out.xml", (change,), {}, rollout=tried))
     assert ("The corrected file is no nearer to the recording: keep the original." in sentences) == told
+
+
+def test_joints_that_slide_have_units_of_their_own():
+    """N for N·m. A replay is off in rad, of those joints that turn; in m where none does."""
+    d = diagnosis()
+    sliding = replace(d, shifting=d.joint_names)
+    assert any(" N·m " in plainly(each) for each in details(d))
+    assert any(" N " in plainly(each) for each in details(sliding))
+    assert not any("N·m" in each for each in details(replace(sliding, causes=())))
+    assert [each["unit"] for each in maps(sliding)] == ["N"] * len(maps(d)) != []
+    off = {name: {"before": 0.2, "after": 0.1 / (k + 1)} for k, name in enumerate(("rail", "hinge"))}
+    tried = {"engine": "MuJoCo", "held_out": True, "window_s": 1.0, "total_rms_rad": {"before": 0.2, "after": 0.1}}
+    for shifting, said in ((("rail",), "angles are off by 2.9°"), (tuple(off), "positions are off by 79 mm")):
+        copy = Written("out.xml", (), {}, rollout=tried | {"angle_rms_rad": off})
+        assert any(said in plainly(each) for each in written(copy, shifting))
 
 
 def test_a_gap_that_does_not_matter_is_told_with_its_size():
