@@ -78,6 +78,9 @@ class Recorded:
     individual: Individual = None
     person: Person = None
     limb: Annotated[str, Setting("limb of a person: arm, arm_and_hand or leg; default: arm")] = "arm"
+    keypoints: Annotated[
+        str, Setting("a person's keypoints as the file calls them, outwards, after the base's, such as RELB,RWRA")
+    ] = ""
     payload: Annotated[float, Setting("what a person's limb carries, kg", float, least=0)] = 0.0
     plane: Annotated[
         str | None, Setting("axes of a file in space that point right and up, such as xz; default: the two that change")
@@ -101,8 +104,10 @@ class Recorded:
         said = {f"--{name}": getattr(self, name) is not None for name in ("height", "mass", "sex")}
         if self.body is not None and any(said.values()):
             raise InputError(f"--body and {next(name for name in said if said[name])}: leave one of them out")
-        if self.body is not None and (self.payload or self.limb != "arm"):
-            raise InputError("--set payload and --set limb are a person's: a load belongs in the body's file, as load")
+        if self.body is not None and (self.payload or self.limb != "arm" or self.keypoints):
+            raise InputError(
+                "--set payload, limb and keypoints are a person's: a body's file has its own load and names"
+            )
         if self.body is None and not all(said.values()):
             missing = ", ".join(name for name in said if not said[name])
             raise InputError(
@@ -174,7 +179,8 @@ class Recorded:
         if self.height is not None and self.mass is not None and self.sex is not None:
             from invdyn.models import person
 
-            return person(self.height, self.mass, self.sex, self.limb, self.payload)
+            called = [name.strip() for name in self.keypoints.split(",")] if self.keypoints else ()
+            return person(self.height, self.mass, self.sex, self.limb, self.payload, keypoints=called)
         names = ("units", "fps", "format", "individual")
         options = {name: getattr(self, name) for name in names}
         if isinstance(self.metres_a_pixel, float):

@@ -222,5 +222,6 @@ def _check_names(kind: str, names: Sequence[str], known: Sequence[str]) -> None:
         if name not in known:
             hint = closest(name, [other for other in known if other not in names])
             sided = kind == "keypoint" and hint and name.casefold() in hint.casefold()
-            more = ", or pass --set base=NAME, the first joint's keypoint of that side" if sided else ""
+            more = ", of a person by --set keypoints=NAME,…" if kind == "keypoint" else ""
+            more = ", or pass --set base=NAME, the first joint's keypoint of that side" if sided else more
             raise InputError(f"{kind} {name!r} is missing: the file has {some(known)}{hint}; rename one of them{more}")

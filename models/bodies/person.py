@@ -66,7 +66,13 @@ TALLEST, HEAVIEST = (0.4, 2.8), (2.0, 650.0)
 
 
 def person(
-    height: float, mass: float, sex: str, limb: str = "arm", load: float = 0.0, gravity: Sequence[float] = (0.0, -9.81)
+    height: float,
+    mass: float,
+    sex: str,
+    limb: str = "arm",
+    load: float = 0.0,
+    gravity: Sequence[float] = (0.0, -9.81),
+    keypoints: Sequence[str] = (),
 ) -> Body:
     """A limb of a person, in the plane.
 
@@ -77,8 +83,9 @@ def person(
         limb: "arm" (shoulder, elbow, wrist), "arm_and_hand" (and the third knuckle), or "leg" (hip, knee, ankle).
         load: kg, at the centre of mass of the hand or, of a leg, at the ankle.
         gravity: (2,) m/s².
+        keypoints: what the links' tips are called, from the trunk outwards; by default as above.
 
-    Raises `BodyError` for another sex or limb, and a height or mass that no person has, as in cm.
+    Raises `BodyError` for another sex or limb, another number of keypoints, and a height or mass that no person has.
     """
     if sex not in TABLE:
         raise BodyError(f"expected sex as f or m, got {sex!r:.40}")
@@ -91,11 +98,12 @@ def person(
             )
     if not 0 <= load <= HEAVIEST[1]:
         raise BodyError(f"expected a load from 0 to {HEAVIEST[1]:g} kg, got {load:g}")
-    links = []
-    for name, joint, tip in LIMBS[limb]:
-        last = tip == LIMBS[limb][-1][2]
-        carried = load if last else None
-        links.append(_link(name, joint, tip, height / HEIGHT[sex], mass, TABLE[sex], carried))
+    links, tips = [], [tip for *_, tip in LIMBS[limb]]
+    if len(keypoints) not in (0, len(tips)):
+        raise BodyError(f"expected {len(tips)} keypoints, as {', '.join(tips)}, got {', '.join(keypoints)}")
+    for (name, joint, tip), called in zip(LIMBS[limb], keypoints or tips, strict=True):
+        carried = load if tip == tips[-1] else None
+        links.append(_link(name, joint, called, height / HEIGHT[sex], mass, TABLE[sex], carried))
     words = f"{limb.replace('_', ' ')} of a person of {height:g} m and {mass:g} kg ({sex})"
     return planar_body(words, links, gravity=gravity, uncertainty=RELATIVE_SD)
 

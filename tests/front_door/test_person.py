@@ -8,7 +8,7 @@ from pages import ROOT, commands
 
 from invdyn.inference import load_posterior
 from invdyn.models import Link, person, planar_body
-from invdyn.recordings import write_keypoint_csv
+from invdyn.recordings import Recording, write_keypoint_csv
 from invdyn.simulate import random_arm, record
 
 
@@ -22,6 +22,34 @@ def recording(tmp_path):
     arm = random_arm(planar_body("arm", links), duration=1.0, noise=0.002, seed=1)
     write_keypoint_csv(record(arm, 1, "curl")[0], tmp_path / "curl.csv")
     return tmp_path / "curl.csv"
+
+
+def test_markers_have_the_names_of_the_file(tmp_path, monkeypatch, run, quick_inference):
+    monkeypatch.chdir(tmp_path)
+    points = np.cumsum(np.full((4, 3, 2), [0.2, 0.0]), axis=1)  # shoulder, elbow and wrist, .2 m apart
+    points += 0.001 * np.random.default_rng(0).normal(size=points.shape)
+    write_keypoint_csv(Recording(np.arange(4) / 100, points, ("RSHO", "RELB", "RWRA")), "markers.csv")
+    line = [
+        "infer",
+        "markers.csv",
+        "--height",
+        "1.75",
+        "--mass",
+        "70",
+        "--sex",
+        "f",
+        "--set",
+        "base=RSHO",
+        "--out",
+        "p.nc",
+    ]
+    outcome = run(*line)
+    assert outcome.exit_code == 2
+    assert "rename one of them, of a person by --set keypoints=NAME" in " ".join(outcome.output.split())
+    outcome = run(*line, "--set", "keypoints=RELB, RWRA")
+    assert outcome.exit_code == 0, outcome.output
+    assert quick_inference[0]["body"] == person(1.75, 70.0, "f", keypoints=("RELB", "RWRA"))
+    assert quick_inference[0]["recording"].keypoint_names == ("shoulder", "RELB", "RWRA")
 
 
 @pytest.mark.long
@@ -52,6 +80,11 @@ def test_the_guides_command_runs(recording, tmp_path, monkeypatch, run, quick_in
         (["--height", 1.75, "--mass", 70], "missing: --body, or --sex"),
         ([], "missing: --body, or --height, --mass, --sex"),
         (["--body", "paper_planar_arm", "--sex", "f"], "--body and --sex: leave one of them out"),
+        (["--body", "paper_planar_arm", "--set", "keypoints=a,b"], "keypoints are a person's"),
+        (
+            ["--height", 1.75, "--mass", 70, "--sex", "f", "--set", "keypoints=a"],
+            "expected 2 keypoints, as elbow, wrist",
+        ),
         (["--height", 175, "--mass", 70, "--sex", "f"], "height from 0.4 to 2.8 m, got 175"),
     ],
 )
