@@ -4,7 +4,7 @@ python docs/numbers_page.py
 """
 
 import ast
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ TITLES = {
 HEAD = """# The numbers of a diagnosis
 
 Written by `python docs/numbers_page.py` from [rules.py](../diagnosis/rules.py), which explains the sources. A run takes
-other ones as an argument: `diagnose(recording, body, rules=Rules().replace(tolerance=0.02))`.
+other ones as an argument: `diagnose(recording, body, rules=Rules().replace(min_dprime=4))`, with `Rules` of
+`invdyn.diagnosis`. For `tolerance` and `robot_tolerance` there is also `diagnose(recording, body, tolerance=0.02)`, or
+`--set tolerance=0.02` on the command line: either takes the place of both. "Acts in" names files of `diagnosis/`, with
+their folder where two have one name, and files of `invdyn/`.
 """
 
 
@@ -46,13 +49,19 @@ def page() -> str:
 
 
 def _where() -> dict[str, list[str]]:
-    """By name of a number, the files of the diagnosis that read it."""
+    """By name of a number, the files that read it, of the diagnosis and of the front door; see the page's head."""
     found = defaultdict(list)
-    for path in sorted((ROOT / "diagnosis").rglob("*.py")):
+    room, door = ROOT / "diagnosis", (ROOT / "invdyn").glob("*.py")
+    readers = [path for path in sorted(door) if "invdyn.diagnosis.rules" in path.read_text("utf-8")]
+    paths = [*sorted(room.rglob("*.py")), *readers]
+    names = Counter(path.stem for path in paths)
+    for path in paths:
         if path.name != "rules.py":
+            full = path.relative_to(ROOT if path in readers else room).with_suffix("").as_posix()
+            file = full if names[path.stem] > 1 or path in readers else path.stem
             tree = ast.parse(path.read_text("utf-8"))
             for name in sorted({node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}):
-                found[name].append(path.stem)
+                found[name].append(file)
     return found
 
 

@@ -20,7 +20,7 @@ from invdyn.recordings import InputError
 def refuse(message: str, force: bool) -> str:
     """Raise InputError for a mistake in a recording, or, by ``force``, warn of it; gives the message."""
     if not force:
-        raise InputError(f"{message}; --force continues")
+        raise InputError(f"{message}; --force (force=True in Python) continues")
     warnings.warn(f"{message}; continued, by --force", stacklevel=3)
     return message
 
