@@ -56,12 +56,18 @@ def api_page(room: str, what: str) -> str:
 def effects_page(pictures: Path | None) -> str:
     """Name, formula, parameters, twins, experiment and picture of each effect; pictures that are up to date stay."""
     from invdyn.diagnosis.catalogue import CATALOGUE
+    from invdyn.diagnosis.catalogue.engine_effects import EFFECTS as ENGINE
 
+    played = {each.name: each for each in ENGINE}
+    also = [f"| {each} | yes | {'yes' if each in played else ''} |" for each in CATALOGUE]
+    also += [f"| {name} | | yes: {each.meaning} |" for name, each in played.items() if name not in CATALOGUE]
     newest = Path(__file__).stat().st_mtime
     parts = [
         "# Effects\n\nWhat a real arm has and an ideal simulation lacks. Each effect is one class. "
         "A picture shows a coordinate of the same commanded arm with the effect and without it. "
-        "The effect is as large as its prior calls likely.\n"
+        "The effect is as large as its prior calls likely.\n\n"
+        "A diagnosis by MuJoCo's own step looks for these numbers of its model:\n\n"
+        "| effect | of an arm | by MuJoCo's own step |\n|---|---|---|\n" + "\n".join(also) + "\n"
     ]
     for name, entry in CATALOGUE.items():
         kind = entry.effect

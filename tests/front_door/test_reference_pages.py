@@ -2,11 +2,14 @@
 
 import re
 import unicodedata
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pages import script
 
+from invdyn.diagnosis.catalogue import CATALOGUE
+from invdyn.diagnosis.catalogue.engine_effects import EFFECTS as ENGINE
 from invdyn.models.effects import EFFECTS
 
 
@@ -32,6 +35,22 @@ def test_an_entry_has_a_formula_parameters_and_what_brings_it_out(entries, name)
     assert any(map(is_formula, formula)), f"{name}.py: its first line should hold a formula, got {formula!r}"
     assert re.search(r"\| `\w+` \| \S+", entries[name])
     assert "Brought out by " in entries[name]
+
+
+def test_a_table_says_which_effects_run_on_which_engine(written):
+    """Six run on both; the guide says how many, and has MuJoCo's in their order."""
+    rows = re.findall(r"^\| (\w+) \| (yes)? ?\| (yes)?", written.effects_page(None).split("\n## ")[0], re.M)
+    arm, engine = ([name for name, *on in rows if on[k]] for k in (0, 1))
+    assert arm == list(CATALOGUE)
+    assert sorted(engine) == sorted(each.name for each in ENGINE)
+    both = len(set(arm) & set(engine))
+    guide = (Path(__file__).parents[2] / "docs" / "how-to" / "leg_on_the_floor.md").read_text("utf-8")
+    assert both == 6
+    assert "Six of them are effects of arms, too" in guide
+    assert f"The other {len(arm) - both} effects" in guide
+    table = guide.partition("| effect | its number")[2].partition("\n\n")[0]
+    named = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert named == [each.name for each in ENGINE]
 
 
 def test_prose_is_no_formula():
