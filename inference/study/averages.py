@@ -20,7 +20,7 @@ from invdyn.inference.study.trial import Trial
 from invdyn.inference.study.work import Part
 from invdyn.recordings import InputError
 
-TIMES, SETS = 41, 256  # times of a curve; sets of τ at each
+TIMES = 41  # of a curve
 
 
 def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Part], align: str, factor: str) -> pd.DataFrame:
@@ -54,7 +54,7 @@ def average_curves(trials: Sequence[Trial], posteriors: Mapping[int, Part], alig
             if there.sum() < MIN_TRIALS:
                 continue
             labels = levels[there], subjects[there], sessions[there]
-            pooled = pool(mean[there, n], spread[there, n], *labels, SETS)
+            pooled = pool(mean[there, n], spread[there, n], *labels)
             for level in pooled.levels:
                 further = pooled.new_trial(level).summary
                 numbers = pooled.average(level).summary | {f"trial_{end}": further[end] for end in ("q05", "q95")}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from invdyn.inference.study.averages import SETS, TIMES, average_curves
+from invdyn.inference.study.averages import TIMES, average_curves
 from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.trial import Trial
 from invdyn.recordings import InputError
@@ -40,7 +40,7 @@ def test_each_time_is_pooled_over_the_trials_that_cover_it():
         for joint, factor in (("elbow", 1.0), ("slide", 3.0)):
             y = factor * (SLOPE[own] * times[n] + LEVEL[own])
             labels = [[names[k] for k in own] for names in (LOAD, WHO, "11111")]
-            exact = pool(y, SD[own], *labels, SETS)
+            exact = pool(y, SD[own], *labels)
             for level in "xy":
                 rows = found[(found["joint"] == joint) & (found["load"] == level)]
                 row = rows[rows["time"] == times[n]].iloc[0]

@@ -9,7 +9,6 @@ import torch
 import xarray as xr
 
 from invdyn.inference.filters.filtering import SMCOptions
-from invdyn.inference.study.averages import SETS
 from invdyn.inference.study.pooling import pool
 from invdyn.inference.study.quantities import STATISTICS, statistics
 from invdyn.inference.study.study import Study, estimates
@@ -81,7 +80,7 @@ def test_an_average_at_a_time_is_the_trials_pooled_there():
         ]
     )
     condition = [trial.factors["condition"] for trial in labelled]
-    pooled = pool(*numbers.T, condition, *map(list, zip(*who, strict=True)), SETS)
+    pooled = pool(*numbers.T, condition, *map(list, zip(*who, strict=True)))
     own = averages[(averages["joint"] == "elbow") & (averages["time"] == time)].set_index("condition")
     for level in "xy":
         for column, mixture in (("", pooled.average(level)), ("trial_", pooled.new_trial(level))):
