@@ -29,6 +29,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 MAX_STEPS, SETTLED = 200, 1e-9
@@ -121,13 +122,21 @@ class Pooled:
         """kᵀμ, and ``further`` times a new draw of all groups and trials."""
         b = self.weights @ k
         slopes = further + np.array([b @ b, *_summed((self.groups @ b) ** 2, self.owner, len(self.variances) - 1)])
-        own = b**2 @ self.errors**2 + slopes @ self.variances
         inside = self.variances > 0
         some, whole = (_inverse(self.information, each) for each in (inside, inside | True))
+        own = b**2 @ self.errors**2 + (slopes - further) @ self.variances + further * self._of_trials(whole)
         step = max(own + slopes @ whole @ self.score, 0.0)
         spread = np.array([slopes @ some @ slopes, slopes @ whole @ slopes])
         freedom = np.divide(2 * own**2, spread, out=np.full(2, np.inf), where=spread > 0)
         return Estimate(float(self.means @ k), np.sqrt([own, max(step, 1e-12 * own)]), np.maximum(freedom, 1.0))
+
+    def _of_trials(self, inverse: np.ndarray) -> float:
+        """Mean of Σθ ≥ 0 by a normal density about one step on, as an estimate of zero is no knowledge that it is."""
+        sd = float(np.sqrt(inverse.sum()))
+        if sd == 0:
+            return float(self.variances.sum())
+        z = float((self.variances + inverse @ self.score).sum()) / sd
+        return sd * (z + float(np.exp(norm.logpdf(z) - norm.logcdf(z))))
 
 
 def pool(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm, ttest_ind
+from scipy.stats import norm, truncnorm, ttest_ind
 from scipy.stats import t as student
 
 from invdyn.inference.study.pooling import Estimate, _at, confounded, groupings, pool
@@ -162,8 +162,16 @@ def test_trials_known_exactly_and_alike_leave_the_plain_difference():
 
 def test_a_further_trial_is_less_sure_than_the_average():
     pooled = pool(ESTIMATES, ERRORS, CONDITION, SUBJECT, ONE)
-    further = pooled.average("x").sds[0] ** 2 + pooled.variances.sum()
-    assert pooled.new_trial("x").sds[0] == pytest.approx(np.sqrt(further))
+    further = pooled.new_trial("x").sds[0] ** 2 - pooled.average("x").sds[0] ** 2
+    assert pooled.variances.sum() <= further < 2 * pooled.variances.sum()
+
+
+def test_a_further_trial_is_no_average_where_trials_hardly_differ():
+    """Of four equal trials of error 1 a step leads to θ = −1, of sd √(2/3)."""
+    one = pool(np.ones(4), np.ones(4), ["x"] * 4, ["a"] * 4, ["1"] * 4)
+    assert one.variances == pytest.approx([0.0])
+    cut = truncnorm(1 / np.sqrt(2 / 3), np.inf, loc=-1, scale=np.sqrt(2 / 3)).mean()
+    assert one.new_trial("x").sds[0] ** 2 == pytest.approx(1 / 4 + cut)
 
 
 def test_one_trial_of_each_condition_has_the_scatter_of_all():
