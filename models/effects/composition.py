@@ -112,12 +112,20 @@ class Composition:
         return reduce(torch.maximum, [acts(elapsed) for _, acts in self._each("late", parameters)])
 
     def force(self, parameters: Mapping[str, Tensor], now: Situation) -> Tensor:
-        """Sum of the generalised forces, (..., K) N·m; those of an order above 0 find the others in ``now.motor``."""
+        """Sum of the generalised forces, (..., K) N·m; those of an order above 0 find the others in ``now.motor``.
+
+        Raises ValueError for a force of another size.
+        """
         total, order = torch.zeros_like(now.q), 0.0
         for effect, stage in self._forcing:
             if effect.order > order:
                 now, order = replace(now, motor=now.motor + total), effect.order
             force = self._acts(effect, stage, parameters)(now)
+            if force is not None and force.shape[-1:] != now.q.shape[-1:]:
+                raise ValueError(
+                    f"{effect.name}: expected a {stage} for each joint, (..., {now.q.shape[-1]}), as now.at(joint, …) "
+                    f"gives, got {tuple(force.shape)}"
+                )
             total = total if force is None else total + force
         return total
 

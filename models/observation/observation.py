@@ -157,10 +157,18 @@ class Observation:
 
     # -- the distribution of a row -------------------------------------------------------------
     def defaults(self, reach: float) -> dict[str, Tensor]:
-        """Starting parameters for a body that reaches so far."""
+        """Starting parameters for a body that reaches so far.
+
+        Raises ValueError for a sensor whose parameters or names are not as :class:`.sensor.Sensor` has them.
+        """
         parameters: dict[str, Tensor] = {}
         for each in self.sensors:
-            parameters |= each.defaults(reach)
+            own = each.defaults(reach)
+            if wrong := [k for k, v in own.items() if not (k.startswith("emission.") and isinstance(v, Tensor))]:
+                raise ValueError(f"{each.name}: expected tensors named emission.<name>, got {', '.join(wrong)}")
+            if (lengths := tuple(map(len, each.coords.values()))) != each.shape:
+                raise ValueError(f"{each.name}: expected as many coords as its shape {each.shape} has, got {lengths}")
+            parameters |= own
         if self.family != "gaussian":
             parameters["emission.df"] = torch.full((1,), DEFAULT_DEGREES).double()
         return parameters
@@ -168,7 +176,8 @@ class Observation:
     def predict(self, view: View, t: int | Tensor, parameters: Mapping[str, Tensor]) -> Distribution:
         """Distribution of row ``t``, event shape (O,).
 
-        Raises ValueError for mistakes under Student-t noise, which models outliers itself.
+        Raises ValueError for mistakes under Student-t noise, which models outliers itself, and for locations of
+        another size than the sensor's.
         """
         parts = [self._side_by_side(run, view, t, parameters) for run in self._runs]
         return parts[0] if len(parts) == 1 else SideBySide(parts)
@@ -181,6 +190,9 @@ class Observation:
         if not isinstance(first, NoisySensor):
             return first.predict(self._for(first, view), t, parameters)
         found = [each.location_scale(self._for(each, view), t, parameters) for each in run]
+        for each, (middle, _) in zip(run, found, strict=True):
+            if middle.shape[-1:] != (size(each),):
+                raise ValueError(f"{each.name}: expected locations (..., {size(each)}), got {tuple(middle.shape)}")
         loc, scale = found[0] if len(found) == 1 else (join(*each) for each in zip(*found, strict=True))
         if view.mistakes and isinstance(first, Keypoints):
             if self.family != "gaussian":

@@ -13,7 +13,7 @@ from variants import nonideal
 from invdyn.diagnosis.catalogue import CATALOGUE
 from invdyn.inference import Bootstrap, ParticleFilter
 from invdyn.models import Encoders, Keypoints, Observation
-from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, ViscousFriction
+from invdyn.models.effects import EFFECTS, HiddenHinge, KeypointOffset, Parameter, ViscousFriction
 from invdyn.models.effects.base import Effect, effect_name
 from invdyn.models.effects.regularised_friction import BristleFriction, RegularisedFriction
 from invdyn.models.observation.missing import observed_log_prob
@@ -315,7 +315,6 @@ def test_signed_parameters_are_unconstrained(arm):
 
 def test_an_effect_of_ones_own(arm, states):
     """One class of a few lines is enough; here a constant torque, which the catalogue lacks."""
-    from invdyn.models.effects import Parameter
 
     class ConstantTorque(Effect):
         def parameters(self, scale):
@@ -342,3 +341,18 @@ def test_an_effect_that_changes_nothing_is_refused(arm):
 
     with pytest.raises(ValueError, match="misspelt: expected a method named body, interval, command, force"):
         arm(2).with_effects(Misspelt("joint1"))
+
+
+def test_a_force_at_no_joint_is_refused(arm, states):
+    """One of shape (..., 1) would act at all joints."""
+
+    class Constant(Effect):
+        def parameters(self, scale):
+            return (Parameter("torque", "N·m", dist.Normal(0.0, 1.0), 0.5),)
+
+        def force(self, p, now):
+            return p["torque"].expand_as(now.q[..., :1])
+
+    ideal = arm(2)
+    with pytest.raises(ValueError, match=r"^constant: expected a force for each joint, \(..., 2\), .* got \(5, 1\)$"):
+        ideal.with_effects(Constant("joint1")).transition_mean(states(ideal, 5), 3)

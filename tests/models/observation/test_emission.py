@@ -1,11 +1,13 @@
 """What cameras and encoders see."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 import torch
 from scipy.stats import norm, t
 
-from invdyn.models import Encoders, Keypoints, Link, Observation, Sensor, planar_body
+from invdyn.models import Encoders, Keypoints, Link, NoisySensor, Observation, Sensor, planar_body
 from invdyn.models.observation.observation import REQUIRED
 from invdyn.models.observation.view import View
 
@@ -123,6 +125,41 @@ def test_what_is_no_sensor_is_refused_with_what_it_lacks():
         Observation(Keypoints([0]), Tilt())
     protocol = {name for name in vars(Sensor) if not name.startswith("_")}
     assert protocol == set(REQUIRED)
+
+
+@dataclass(frozen=True)
+class Level(NoisySensor):
+    """The sum of all angles, with what a sensor of one's own may have wrong."""
+
+    parameter: str = "emission.level_scale"
+    scale: object = field(default_factory=lambda: torch.tensor([0.1]))
+    coords: dict = field(default_factory=lambda: {"joint": ["sum"]})
+    keepdim: bool = True
+    name, unit, shape = "level", "rad", (1,)
+
+    def bound(self, body):
+        return self
+
+    def defaults(self, reach):
+        return {self.parameter: self.scale}
+
+    def location_scale(self, view, t, parameters):
+        return view.q.sum(-1, keepdim=self.keepdim), parameters[self.parameter]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        (Level(parameter="level_scale"), "level: expected tensors named emission.<name>, got level_scale"),
+        (Level(scale=0.1), "level: expected tensors named emission.<name>, got emission.level_scale"),
+        (Level(coords={"joint": "ab"}), r"as many coords as its shape \(1,\) has, got \(2,\)"),
+        (Level(keepdim=False), r"level: expected locations \(..., 1\), got \(4,\)"),
+    ],
+)
+def test_mistakes_of_a_sensor_of_ones_own_are_said(sensor, message):
+    observation = Observation(sensor)
+    with pytest.raises(ValueError, match=message):
+        observation.predict(seen(TIPS.expand(4, 3, 2), ANGLES.expand(4, 3)), 0, observation.defaults(1.0))
 
 
 def test_a_site_that_the_body_does_not_have_is_refused():
