@@ -3,6 +3,7 @@
 :mod:`invdyn.recordings.plausible` compares numbers with numbers; here these are a body's.
 """
 
+import warnings
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -14,6 +15,8 @@ from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording, check_in_space, check_plausible
 from invdyn.recordings.cameras import Filmed
 from invdyn.recordings.errors import about
+from invdyn.recordings.jitter import jitter
+from invdyn.recordings.limits import PLAUSIBLE
 from invdyn.recordings.plausible import BASE, check_shifts
 from invdyn.recordings.repairs import repaired
 from invdyn.recordings.zero_likelihood import without_zeros
@@ -64,8 +67,21 @@ def put_right(recording: Recording, body: ArticulatedBody) -> Recording:
         found = without_zeros(recording, recording.length_unit == "px", in_file=False)
         recording = repaired(found, slides(body))
         check_shifts(recording, slides(body))
+        _warn_of_constants(recording, body.keypoint_names)
         check_fits(recording, body, guessed=True)
     return recording
+
+
+def _warn_of_constants(recording: Recording, names: Sequence[str]) -> None:
+    """Say which coordinates of keypoints never change, to the last digit, where those of others have noise."""
+    points = recording.keypoints
+    extent = np.fmax.reduce(points) - np.fmin.reduce(points)
+    noise = jitter(points.reshape(len(points), -1)).reshape(extent.shape)
+    still = (extent == 0) & (noise > PLAUSIBLE.least_noise * np.nanmax(extent, initial=0.0)).any(0)
+    for place, axis in np.argwhere(still):
+        if (name := recording.keypoint_names[place]) in names:
+            words = f"{name}_{'xyz'[axis]} never changes, to the last digit, and other keypoints have noise"
+            warnings.warn(f"{words}: if {name} was not seen, leave these cells empty", stacklevel=4)
 
 
 def at_rest(recording: Recording, body: Body, base: str | None = None) -> tuple[Recording, str | None]:

@@ -78,9 +78,7 @@ class Recorded:
     individual: Individual = None
     person: Person = None
     limb: Annotated[str, Setting("limb of a person: arm, arm_and_hand or leg; default: arm")] = "arm"
-    keypoints: Annotated[
-        str, Setting("a person's keypoints as the file calls them, outwards, after the base's, such as RELB,RWRA")
-    ] = ""
+    keypoints: Annotated[str, Setting("a person's keypoints in the file, from the elbow on, as RELB,RWRA")] = ""
     payload: Annotated[float, Setting("what a person's limb carries, kg", float, least=0)] = 0.0
     plane: Annotated[
         str | None, Setting("axes of a file in space that point right and up, such as xz; default: the two that change")
@@ -105,9 +103,7 @@ class Recorded:
         if self.body is not None and any(said.values()):
             raise InputError(f"--body and {next(name for name in said if said[name])}: leave one of them out")
         if self.body is not None and (self.payload or self.limb != "arm" or self.keypoints):
-            raise InputError(
-                "--set payload, limb and keypoints are a person's: a body's file has its own load and names"
-            )
+            raise InputError("--set payload, limb and keypoints are a person's: a body's file states its own")
         if self.body is None and not all(said.values()):
             missing = ", ".join(name for name in said if not said[name])
             raise InputError(

@@ -75,22 +75,22 @@ def _drop_repeats(names: Sequence[str], points: np.ndarray) -> None:
         runs = [(start + 1, stop) for start, stop in _repeats(track)]
         again = int((track[1:] == track[:-1]).all(axis=-1).sum())
         repeated = sum(stop - start for start, stop in runs)
-        if not runs or again > repeated or repeated > len(track) / 2:
-            continue
         fresh = track.copy()
         for run in runs:
             fresh[slice(*run)] = np.nan
-        steps = np.abs(np.diff(fresh[np.isfinite(fresh).all(axis=-1)], axis=0))
+        seen = fresh[np.isfinite(fresh).all(axis=-1)]
+        if not runs or again > repeated or len(seen) < PLAUSIBLE.positions:
+            continue
+        steps = np.abs(np.diff(seen, axis=0))
         (noise,) = point_jitter(fresh[:, None])
-        if not (steps > 0).any() or noise < PLAUSIBLE.least_noise * np.ptp(fresh[np.isfinite(fresh).all(axis=-1)]):
+        if not (steps > 0).any() or noise < PLAUSIBLE.least_noise * np.ptp(seen):
             continue
         resolution = min(np.quantile(axis[axis > 0], 0.01) for axis in steps.T if (axis > 0).any())
         if noise > PLAUSIBLE.finer * resolution:
             track[:] = fresh
-            first = runs[0]
             warnings.warn(
-                f"{name} stands still to the last digit in {repeated} rows, first from row {first[0] + 1} to "
-                f"{first[1]}: the last position was written again; taken to be missing",
+                f"{name} stands still to the last digit in {repeated} rows, first from row {runs[0][0] + 1} to "
+                f"{runs[0][1]}: the last position was written again; taken to be missing",
                 stacklevel=3,
             )
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, about
-from ..naming import closest, nearest
+from ..naming import closest, nearest, some
 from ..recording import Recording, check_time
 from ..tables import read_header, read_table, write_table
 
@@ -26,7 +26,6 @@ SUFFIXES = (*AXES, "likelihood", "torque", "angle")
 TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
 OF_LOGS = ("position", "velocity", "effort", "target")  # endings of a robot's own columns
 OF_TRACKERS = ("conf", "vis", "score", "prob")  # beginnings of their words for a likelihood
-MAX_HINTS = 5  # names in a message
 
 
 def read_keypoint_csv(
@@ -53,7 +52,13 @@ def read_keypoint_csv(
         found = _split(columns, joints or ())
         points = _distinct(stem for stem, suffix in found if suffix in AXES)
         in_file = _distinct(stem for stem, suffix in found if suffix in ("torque", "angle"))
-        names = in_file if joints is None else _expected(joints, in_file)
+        names = tuple(joints) if in_file and joints is not None else in_file
+        if strange := [name for name in in_file if name not in names]:
+            near = closest(strange[0], [name for name in names if name not in in_file])
+            raise InputError(
+                f"joints ({some(in_file)}) are not the body's ({some(names)}): unknown {strange[0]!r}{near}; "
+                "rename them"
+            )
         for stem in _distinct(stem for stem, suffix in found if suffix == "likelihood"):
             if stem not in points:
                 raise InputError(f"column '{stem}_likelihood' belongs to no keypoint: there is no '{stem}_x'")
@@ -144,22 +149,6 @@ def _split(columns: Iterable[str], joints: Sequence[str]) -> list[tuple[str, str
                 f"(known are time, frame and <name>_{', _'.join(SUFFIXES)})"
             )
     return found
-
-
-def _expected(expected: Sequence[str], in_file: Sequence[str]) -> tuple[str, ...]:
-    """The names of joints that are expected, or none if the file has none; InputError when it has others."""
-    if not in_file:
-        return ()
-    unknown = [name for name in in_file if name not in expected]
-    missing = [name for name in expected if name not in in_file]
-    if unknown:
-        hints = [f"unknown {name!r}{closest(name, missing)}" for name in unknown[:MAX_HINTS] if expected]
-        wrong = ", ".join([*hints, *(f"missing {name!r}" for name in missing[:MAX_HINTS])])
-        raise InputError(
-            f"the file's joints ({', '.join(in_file)}) are not the body's ({', '.join(expected)}): {wrong}; "
-            "rename the columns or the body's names"
-        )
-    return tuple(expected)
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:

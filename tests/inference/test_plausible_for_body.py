@@ -8,7 +8,7 @@ from robot_log import ARM, robot_log
 
 from invdyn.inference.plausible_for_body import check_fits, put_right
 from invdyn.inputs import load_body
-from invdyn.models import dynamics_for
+from invdyn.models import dynamics_for, person
 from invdyn.recordings import InputError, Recording, parse_units
 
 
@@ -57,6 +57,22 @@ def test_exchanged_names_are_refused_whether_lengths_are_guessed_or_not(film):
     for guessed in (False, True):
         with pytest.raises(InputError, match="keypoints 'elbow' and 'wrist' seem to be exchanged"):
             check_fits(exchanged, ARM, guessed)
+
+
+def test_exchanged_names_show_by_lengths_that_change_where_a_table_knows_them_roughly():
+    """A bend of 1.3 ± .4 rad, in an arm that is a tenth and more off the table's."""
+    time = np.linspace(0, 2, 120)
+    bend = np.stack([np.sin(3 * time) - 1.2, np.sin(3 * time) + 0.1 + 0.4 * np.cos(4 * time)], axis=-1)
+    links = np.array([[0.31], [0.345]]) * np.stack([np.cos(bend), np.sin(bend)], axis=-1)
+    points = np.concatenate([np.zeros((120, 1, 2)), links.cumsum(1)], axis=1)
+    points += 0.001 * np.random.default_rng(0).normal(size=points.shape)
+    arm = person(1.75, 70.0, "m")
+    put_right(Recording(time, points, ("shoulder", "elbow", "wrist")), arm)
+    with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
+        put_right(Recording(time, points, ("shoulder", "wrist", "elbow")), arm)
+    points[:, 0], points[:, 1] = 0.0, points[0, 1]  # a base may be given as a place
+    with pytest.warns(UserWarning, match=r"^elbow_[xy] never changes, to the last digit.*if elbow was not seen"):
+        put_right(Recording(time, points, ("shoulder", "elbow", "wrist")), arm)
 
 
 def test_the_order_of_columns_does_not_matter(film):

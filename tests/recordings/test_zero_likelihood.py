@@ -94,6 +94,15 @@ def test_a_place_in_whole_pixels_that_is_kept_at_a_low_likelihood_is_told(low, r
     assert all("heel stands still to the last digit in " in each and "leave these cells empty" in each for each in said)
 
 
+def test_a_place_that_is_written_again_to_the_end_is_missing_however_long():
+    recording = with_repeats(0.9, len(TIME) - 20, 6)
+    with pytest.warns(
+        UserWarning, match=f"heel stands still to the last digit in {len(TIME) - 21} rows, first from row 22"
+    ):
+        kept = without_zeros(recording, pixels=True).keypoints
+    np.testing.assert_array_equal(np.isnan(kept).all(-1).sum(0), [0, len(TIME) - 21])
+
+
 def test_an_arm_at_rest_without_noise_is_there():
     points = 0.3 + 0.2 * np.tile(np.clip(TIME - 0.4, 0, None)[:, None, None] ** 3, (1, 2, 2))
     recording = Recording(TIME, points, ("knee", "heel"))
