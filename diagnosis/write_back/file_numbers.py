@@ -1,7 +1,7 @@
 """The numbers of an MJCF file that a log may correct, as one vector, and the compiled model that has them.
 
     positive numbers    z = log v        damping (with a servo's own), friction, armature, gain; mass
-    others              z = v            a link's centre of mass, m in the body's frame
+    others              z = v            a link's centre of mass, m in the body's frame, of a chain along the link
     friction impedance  z = log(1 − d)   one for all joints
 
 MuJoCo's dry friction is soft: under a torque below its limit a joint creeps by about (1 − d)/d of what would hold it
@@ -11,7 +11,8 @@ file like any other. A link's moments about its centre stay the file's.
 A servo's damping is moved into its joint, which MuJoCo's Euler steps implicitly. A servo damps by the velocity before a
 step: of a light joint that shakes the dry friction loose, and a file then plays otherwise at another time step.
 
-The prior is Gaussian in z, about the file's number, or that of a regression where one is given.
+The prior is Gaussian in z, about the file's number, or that of a regression where one is given. What a regression
+says of links' moments, and of joints without a motor, stays.
 Shapes: N numbers. Units: SI, rad.
 """
 
@@ -24,7 +25,7 @@ import mujoco
 import numpy as np
 
 from invdyn.diagnosis.rules import FIXED
-from invdyn.diagnosis.write_back.changes import IMPEDANCE, SERVO_DAMPING, FileChange
+from invdyn.diagnosis.write_back.changes import IMPEDANCE, OF_LINK, SERVO_DAMPING, FileChange
 from invdyn.diagnosis.write_back.mjcf import BodyNumbers, body_of, groups, shares_its_mass
 from invdyn.models import ArticulatedBody
 from invdyn.models.bodies.body_mjcf import compiled
@@ -75,12 +76,12 @@ class FileNumbers:
         body: as read from it.
         found: what a regression changes, by place and quantity; these values become the priors' means.
 
-    Raises BodyError where MuJoCo cannot read the file.
+    `filed` is the compiled file, `nominal` has what `kept` changes too. Raises BodyError where MuJoCo cannot read it.
     """
 
     def __init__(self, robot: Any, body: ArticulatedBody, found: Sequence[FileChange] = ()):
         self.body = body
-        self.nominal = compiled(robot)
+        self.filed = self.nominal = compiled(robot)
         after = {(each.place, each.quantity): each.after for each in found}
         numbers = [joint_names(self.nominal).index(name) for name in body.joint_names]
         self.driven = [  # joints (k, number in the model) that have one motor, of their own
@@ -88,8 +89,13 @@ class FileNumbers:
             for k, (number, parts) in enumerate(zip(numbers, body.joint_parts, strict=True))
             if parts.motor and len(actuators_of(mujoco, self.nominal, number)) == 1
         ]
-        self._of_body = BodyNumbers(self.nominal, body)
+        self._of_body = BodyNumbers(self.filed, body)
         self.numbers = (*self._of_joints(after), *self._of_links(after))
+        own = {(each.place, each.quantity) for each in self.numbers}
+        driven = {body.joint_names[k] for k, _ in self.driven}
+        others = (c for c in found if c.place not in driven or c.quantity.startswith(OF_LINK))
+        self.kept = tuple(c for c in others if (c.place, c.quantity) not in own)
+        self.nominal = self.changed(self.kept)
 
     def starts(self) -> np.ndarray:
         """Vectors (C, N) to start a fit from: the priors' means, and the file's with gains of a ladder."""
@@ -97,12 +103,10 @@ class FileNumbers:
         for factor in FIXED.start_gains:
             z = self.mean
             for n, each in enumerate(self.numbers):
-                if each.quantity == "damping" and each.filed > 0:
-                    z[n] = np.log(each.filed * np.sqrt(factor))
-                elif each.quantity.endswith("gain"):
+                if each.quantity.endswith("gain"):
                     z[n] = np.log(factor)
-                elif each.quantity in ("friction", "armature") and each.filed > 0:
-                    z[n] = np.log(each.filed)
+                elif each.quantity in ("damping", "friction", "armature") and each.filed > 0:
+                    z[n] = np.log(each.filed) + (each.quantity == "damping") * np.log(factor) / 2
             found.append(z)
         return np.array(found)
 
@@ -131,16 +135,15 @@ class FileNumbers:
             name, parts = self.body.joint_names[k], self.body.joint_parts[k]
             drag = parts.servo_damping
             damping = after.get((name, "damping"), parts.damping) + after.get((name, SERVO_DAMPING), drag)
-            friction = after.get((name, "friction"), parts.friction)
-            armature = after.get((name, "armature"), parts.armature)
             gain = "motor gain" if parts.servo is None else "servo gain"
             small = FIXED.least_number
-            for quantity, filed, value, least, sd in (
-                ("damping", parts.damping + drag, damping, small * typical[k], FIXED.friction_sd),
-                ("friction", parts.friction, friction, small * typical[k], FIXED.friction_sd),
-                ("armature", parts.armature, armature, small * inertia[k], FIXED.armature_sd),
-                (gain, 1.0, after.get((name, gain), 1.0), small, FIXED.servo_gain_sd),
+            for quantity, filed, least, sd in (
+                ("damping", parts.damping + drag, small * typical[k], FIXED.friction_sd),
+                ("friction", parts.friction, small * typical[k], FIXED.friction_sd),
+                ("armature", parts.armature, small * inertia[k], FIXED.armature_sd),
+                (gain, 1.0, small, FIXED.servo_gain_sd),
             ):
+                value = damping if quantity == "damping" else after.get((name, quantity), filed)
                 found.append(Number(name, quantity, filed, float(np.log(max(value, least))), sd))
         if found:
             dofs = self.nominal.jnt_dofadr[[number for _, number in self.driven]]
@@ -152,26 +155,27 @@ class FileNumbers:
         """Masses and centres of the links that a driven joint moves, each alone on its body."""
         found = []
         for k, name in enumerate(self.body.link_names):
-            if self.body.dimensions != 3 or not self.body.moved_by(k):
-                continue  # of a chain in the plane a centre is no point of the file's body
-            if shares_its_mass(self.nominal, body_of(self.nominal, self.body, k)):
+            if not self.body.moved_by(k) or shares_its_mass(self.filed, body_of(self.filed, self.body, k)):
                 continue
             own = inertia_of(self.body.parameters(), k)
             mass, com = own.mass.item(), own.com.tolist()
             if mass <= 0:
                 continue
             size = FIXED.excite_link_share * max(float(np.linalg.norm(com)), float(np.sqrt(own.mean.item() / mass)))
-            found.append(
-                Number(name, "mass", mass, float(np.log(after.get((name, "mass"), mass))), FIXED.excite_link_share)
-            )
-            for axis, value in zip("xyz", com, strict=True):
-                found.append(Number(name, f"com_{axis}", value, after.get((name, f"com_{axis}"), value), size))
+            z = float(np.log(after.get((name, "mass"), mass)))
+            found.append(Number(name, "mass", mass, z, FIXED.excite_link_share))
+            for axis, value in zip(("_x", "_y", "_z") if len(com) == 3 else ("",), com, strict=True):
+                found.append(Number(name, f"com{axis}", value, after.get((name, f"com{axis}"), value), size))
         return found
 
     def model(self, z: np.ndarray) -> "mujoco.MjModel":
         """The compiled file with the numbers ``z`` (N,)."""
+        return self.changed(self._changes(z, z[None]))
+
+    def changed(self, changes: Sequence[FileChange]) -> "mujoco.MjModel":
+        """A copy of the compiled file with ``changes`` besides."""
         model = copy.copy(self.nominal)
-        for several in groups(self._changes(z, z[None])):
+        for several in groups(changes):
             self._of_body.put(model, several)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
@@ -181,7 +185,7 @@ class FileNumbers:
         numbers = zip(self.numbers, z, strict=True)
         same = {n.place for n, own in numbers if n.quantity == "damping" and _is_same(n.value(own), n.filed)}
         found = (c for c in self._changes(z, draws) if c.place not in same or "damping" not in c.quantity)
-        return tuple(c for c in found if not _is_same(c.after, c.before))
+        return (*(c for c in found if not _is_same(c.after, c.before)), *self.kept)
 
     def _changes(self, z: np.ndarray, draws: np.ndarray) -> list[FileChange]:
         """Of every number: of damping in the joint and in its servo, of the impedance at each joint."""

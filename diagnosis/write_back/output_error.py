@@ -136,7 +136,7 @@ def refined(
         coverage = _coverage(replay, members, held_out, _floor(fitted))
         if coverage >= FIXED.ensemble_coverage:
             break
-    models = [copy.copy(numbers.nominal), numbers.model(found_by_regression), numbers.model(z)]
+    models = [copy.copy(numbers.filed), numbers.model(found_by_regression), numbers.model(z)]
     off = np.concatenate([replay.off(models, each) for each in held_out], 1)
     by_joint = np.sqrt((off**2).mean(1)).tolist()
     rms = {

@@ -139,7 +139,8 @@ def _tried(source: str, out: str, body: ArticulatedBody, recording: Recording, h
     given = commands(model, body, recording)
     before, after = (rollout(path, body, recording.time, np.asarray(angle), given) for path in (source, out))
     said = replayed(recording, held_out, before.angle_rms, after.angle_rms)
-    return said | {"whole_rms_rad": {"before": _finite(before.whole), "after": _finite(after.whole)}}
+    whole = {"before": before.whole, "after": after.whole}
+    return said | {"whole_rms_rad": {of: x if np.isfinite(x) else None for of, x in whole.items()}}  # None: it ran away
 
 
 def replayed(recording: Recording, held_out: bool, before: dict[str, float], after: dict[str, float]) -> dict[str, Any]:
@@ -155,8 +156,3 @@ def replayed(recording: Recording, held_out: bool, before: dict[str, float], aft
         "angle_rms_rad": {name: {"before": value, "after": after[name]} for name, value in before.items()},
         "total_rms_rad": dict(zip(("before", "after"), totals, strict=True)),
     }
-
-
-def _finite(value: float) -> float | None:
-    """For JSON: None of what ran away."""
-    return value if np.isfinite(value) else None

@@ -77,6 +77,14 @@ frictionloss="0.05" armature="0.03"/><geom type="capsule" fromto="0 0 0 0.05 0 0
 </worldbody><actuator><position name="finger" joint="finger" kp="1000" kv="2.7"/></actuator></mujoco>"""
 
 
+POLE = """<mujoco><option timestep="0.002"/><worldbody><body name="arm" pos="0 0 1"><joint name="shoulder"
+axis="0 -1 0" damping="0.15" armature="0.002" frictionloss="0.05"/>
+<inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.006 0.006 0.0004"/>
+<body name="pole" pos="0 0 -0.3"><joint name="elbow" axis="0 -1 0" damping="0.01"/><inertial pos="0 0 -0.2" mass="0.4"
+diaginertia="0.004 0.004 0.0002"/><site name="tip" pos="0 0 -0.4"/></body></body></worldbody>
+<actuator><motor name="m" joint="shoulder" {drive}/></actuator></mujoco>"""
+
+
 def test_a_light_joint_rests_where_it_sticks_at_any_time_step(tmp_path):
     """In its servo the same damping shakes it loose at 2 ms, and it creeps to where the servo pulls."""
     path, rest = tmp_path / "finger.xml", []
@@ -94,6 +102,31 @@ def test_a_light_joint_rests_where_it_sticks_at_any_time_step(tmp_path):
         rest.append(data.qpos[0])
     assert rest[0] == pytest.approx(0.1 - 0.3 / 20, abs=0.005)
     assert rest[1] == pytest.approx(rest[0], abs=5e-4)
+
+
+@pytest.mark.parametrize("more", [(), ("mass", "com", "inertia")])
+def test_a_planar_link_and_what_a_regression_changes_besides_are_in_the_file(tmp_path, more):
+    """A pole 20 % heavier at its own moments or with them, and friction that its joint without a motor has."""
+    pole, path = POLE.format(drive=""), tmp_path / "pole.xml"
+    path.write_text(pole)
+    body = Body.load(path)
+    filed = {"mass": 0.4, "com": 0.2, "inertia": 0.004}
+    found = [FileChange("elbow", "friction", 0.0, 0.02, (0.01, 0.03), "N·m", "coulomb_friction.elbow")]
+    found += [
+        FileChange("pole", what, filed[what], 1.2 * filed[what], (0.0, 1.0), "", "inertial_error.pole") for what in more
+    ]
+    numbers = FileNumbers(str(path), body, found)
+    z = numbers.mean
+    changed = numbers.changes(z, z[None])
+    assert {(c.place, c.quantity, round(c.after, 9)) for c in changed} == {
+        (c.place, c.quantity, round(c.after, 9)) for c in found
+    }
+    new, unsaid = rewritten(pole.encode(), str(path), body, changed)
+    assert not unsaid
+    written, built = mujoco.MjModel.from_xml_string(new.decode()), numbers.model(z)
+    for name in ("body_mass", "body_ipos", "body_inertia", "dof_frictionloss"):
+        np.testing.assert_allclose(getattr(built, name), getattr(written, name), rtol=1e-6, atol=1e-12, err_msg=name)
+    np.testing.assert_array_equal(numbers.filed.body_mass, mujoco.MjModel.from_xml_string(pole).body_mass)
 
 
 def test_a_replay_of_the_true_file_is_off_by_noise_alone(arm, tmp_path):
