@@ -11,12 +11,19 @@ own stages (:mod:`invdyn.models.effects.base`), for the torque
 of forces f, friction's level L, inertias I, commands u, and angles q' of a joint whose encoder shows q. Which value is
 taken: :mod:`.shape_profile`.
 
+A motor's law that bends, as a limit's, has another mean where u is noisy. It is that of the command which is expected,
+
+    E[u] = w u + (1 − w) τ_file,     w = min(1, (s² + v)/d²)        (reliability: Carroll et al. 2006, ch. 3)
+
+with d the rms of u − τ_file, s that of its part in frequencies that the motion tells of, and v the variance of τ_file
+for what the smoother does not know of q̈. Rows that bend for their noise alone would explain it in what is missing.
+
 Shapes: R rows, K joints, n columns of an effect. Units: rad, s, N·m.
 """
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -28,7 +35,9 @@ from torch import Tensor
 
 from invdyn.diagnosis.catalogue import CATALOGUE, CatalogueEntry
 from invdyn.diagnosis.catalogue.linear_laws import INERTIAL, JOINT_KINDS
+from invdyn.diagnosis.regression.low_pass import cutoff_of, low_passed
 from invdyn.diagnosis.regression.measured_motion import MeasuredMotion, limited
+from invdyn.diagnosis.regression.regressors import filed_torques
 from invdyn.diagnosis.rules import FIXED
 from invdyn.models.dynamics.interface import Dynamics
 from invdyn.models.dynamics.registry import dynamics_for
@@ -155,6 +164,20 @@ class Along:
         return Command.held(torch.as_tensor(edges), torch.as_tensor(self.motion.command))
 
     @cached_property
+    def expected_command(self) -> Command:
+        """E[u] of the top of the file; v by a draw of signs, as errors of joints have."""
+        u, signs = self.command.mean, np.random.default_rng(0).choice((-1.0, 1.0), self.q.shape)
+        filed, other = (self.filed(qdd) for qdd in (self.qdd, self.qdd + torch.as_tensor(signs * self.motion.qdd_sd)))
+        slow = torch.as_tensor(low_passed((u - filed).numpy(), self.motion, cutoff_of(self.motion)))
+        share = (slow**2 + (other - filed) ** 2).mean(0) / ((u - filed) ** 2).mean(0).clamp_min(1e-300)
+        return replace(self.command, mean=filed + share.clamp_max(1.0) * (u - filed))
+
+    def filed(self, qdd: Tensor) -> Tensor:
+        """What the file's links and joints ask for, (R, K)."""
+        links = self.dynamics.inverse(self.q, self.qd, qdd, self.numbers)
+        return links + torch.stack(filed_torques(self.body, self.q, self.qd, qdd, self.sign), -1)
+
+    @cached_property
     def required(self) -> Tensor:
         """What links ask for, (R, K)."""
         return self.dynamics.inverse(self.q, self.qd, self.qdd, self.numbers)
@@ -177,7 +200,8 @@ class Along:
         K, now = self.q.shape[-1], self.now
         total = torch.zeros_like(self.q)
         if hasattr(effect, "command"):
-            more = (effect.command(p, self.command).mean - self.command.mean).numpy()
+            command = self.command if hasattr(effect, "late") else self.expected_command
+            more = (effect.command(p, command).mean - command.mean).numpy()
             wanted, within = self.motion.demanded - self.motion.servo_drag, self.motion.within
             given = limited(self.body, wanted + more, within) - limited(self.body, wanted, within)
             total = total - torch.as_tensor(given)

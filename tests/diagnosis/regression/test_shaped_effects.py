@@ -1,5 +1,6 @@
 """Torques of effects with a shape along a motion, and which shape and which effect a regression finds."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -20,7 +21,7 @@ from invdyn.diagnosis.regression.shape_profile import Context, _explained
 from invdyn.diagnosis.regression.shaped_effects import Along, shaped_effects, sizes_of
 from invdyn.diagnosis.regression.weighted_fit import weighted_fit
 from invdyn.diagnosis.rules import FIXED
-from invdyn.models import Body, write_mjcf
+from invdyn.models import Body, Link, planar_body, write_mjcf
 from invdyn.models.articulated.as_filed import servo_torque
 from invdyn.models.dynamics.registry import dynamics_for
 from invdyn.recordings import Recording
@@ -68,6 +69,16 @@ def test_a_motors_limit_takes_what_is_commanded_beyond_it(along):
     limit = 0.5 * np.abs(u).max()
     (column,) = columns(along, "actuator_saturation", limit)
     np.testing.assert_allclose(column[:, 1], u - u.clip(-limit, limit), rtol=1e-9, atol=1e-9)
+
+
+def test_a_command_is_expected_where_the_file_says_as_far_as_its_log_is_noisy(along):
+    true, noise = along.filed(along.qdd).numpy(), np.random.default_rng(0).standard_normal(along.q.shape)
+    for scale, closest in ((0.0, 1.0), (5.0, 0.3)):
+        motion = replace(along.motion, command=along.motion.command + scale * noise)
+        found = Along(BODY, along.dynamics, motion, along.sign.numpy()).expected_command.mean.numpy()
+        weight = (found - true) / (motion.command - true)
+        np.testing.assert_allclose(weight, weight[:1].repeat(len(weight), 0), rtol=1e-6)
+        assert ((weight[0] > 0.9) if scale == 0.0 else (weight[0] < closest)).all()
 
 
 def test_a_spring_between_joints_and_a_stop_are_linear_in_their_stiffness(along):
@@ -149,6 +160,58 @@ def test_a_spring_between_joints_is_named_beside_friction_at_all_joints(monkeypa
     beside = [s for plain, statements in fits if plain is not None and "joint_coupling" in plain for s in statements]
     assert not alone & {*ODD}, "chosen one by one these imitate what is usual"
     assert {s.size for s in beside if s.kind in ODD} == {FIXED.odd_size}
+
+
+PENDULUM = planar_body("arm", [Link("arm", "pivot", "tip", 0.5, 0.5)], gravity=(0.0, -9.81))
+
+
+def swung(seed, law, noise=None, seconds=8.0, rate=200.0):
+    """A log of a pendulum with Coulomb friction whose motor follows sines; ``noise`` (R,) times the torque's sd."""
+    rng, p = np.random.default_rng(seed), PENDULUM.parameters()
+    lever = float(p.mass[0] * p.com.ravel()[0])
+    inertia = float(p.inertia.ravel()[0] + lever * p.com.ravel()[0])
+    w, phase = 2 * np.pi * rng.uniform(0.2, 1.2, 5), rng.uniform(0, 6, 5)
+    a, time = 1.5 * rng.uniform(0.5, 1.0, 5) / w, np.arange(0, seconds, 1 / rate)
+    goals = np.sin(time[:, None] * w + phase) @ a, np.cos(time[:, None] * w + phase) @ (a * w)
+    q, qd, seen, torque = float(goals[0][0]), float(goals[1][0]), [], []
+    for goal, speed in zip(*goals, strict=True):
+        u = 12 * (goal - q) + (speed - qd) + 9.81 * lever * np.sin(q)
+        seen.append(q)
+        torque.append(u)
+        for _ in range(10):
+            qd += (law(u) - 9.81 * lever * np.sin(q) - 0.05 * np.tanh(100 * qd)) / inertia / rate / 10
+            q += qd / rate / 10
+    angles = np.array(seen) - np.pi / 2 + 3e-4 * rng.standard_normal(len(time))
+    given = np.array(torque) + (0.0 if noise is None else noise * np.std(torque))
+    nothing = np.empty((len(time), 0, 2))
+    pairs = {"angles": angles[:, None], "torques": given[:, None]}
+    return Recording(time, nothing, (), **pairs, joint_names=PENDULUM.joint_names)
+
+
+def of_motors(log):
+    """Effects of motors that are sure, and their numbers."""
+    result = regress(log, PENDULUM)
+    sure = {s.effect for s in result.stated if s.sure} & {"actuator_saturation", "actuator_deadzone"}
+    return sure, {e.parameter: e.value for e in result.numbers}
+
+
+@pytest.mark.long
+def test_noise_in_a_torque_is_not_taken_for_a_limit_or_a_dead_zone():
+    """Spikes, which both take away."""
+    assert of_motors(swung(0, lambda u: u, np.random.default_rng(7).standard_t(2, 1600)))[0] == set()
+
+
+@pytest.mark.long
+def test_limits_and_dead_zones_keep_their_names_and_numbers():
+    noise = 0.3 * np.random.default_rng(7).standard_normal((3, 1600))
+    for seed, most in ((0, 0.9), (2, 0.58)):
+        sure, found = of_motors(swung(seed, lambda u, most=most: min(max(u, -most), most)))
+        assert sure == {"actuator_saturation"}
+        assert found["limit"] == pytest.approx(most, rel=0.05)
+    for seed, width in ((0, 0.1), (1, 0.06), (2, 0.07)):
+        sure, found = of_motors(swung(seed, lambda u, d=width: u - min(max(u, -d), d), noise[seed]))
+        assert sure == {"actuator_deadzone"}
+        assert found["width"] == pytest.approx(width, rel=0.3)
 
 
 @pytest.fixture(scope="module")
