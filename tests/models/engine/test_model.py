@@ -17,6 +17,8 @@ from invdyn.models.engine.reactions import joint_reactions
 from invdyn.models.engine.readings import Readings
 from invdyn.models.engine.scene import Scene
 from invdyn.models.engine.typical_forces import typical_forces
+from invdyn.models.observation.pinhole import PinholeCameras
+from invdyn.models.observation.pixels import Pixels
 
 F64 = torch.float64
 MUSCLED = """<mujoco model="muscled"><option timestep="0.002" integrator="RK4"/><worldbody>
@@ -149,7 +151,7 @@ def test_drives_have_a_usual_size_and_add_to_what_is_given():
 
 
 def test_sensors_see_what_mujoco_shows():
-    """Keypoints in the plane and in space, encoders, and the file's own sensors."""
+    """Keypoints in the plane and in space, encoders, the file's own sensors, and the pixels of a camera."""
     observation = Observation(Keypoints(["hand"]), Encoders(), Readings())
     model = EngineModel(MUSCLED, np.arange(3) * 0.01, observation, drive=Controls())
     state = torch.tensor([0.0, 0.0, 0.4, 1.5, 0.3, 0.2], dtype=F64)
@@ -163,6 +165,15 @@ def test_sensors_see_what_mujoco_shows():
     flat = EngineModel(Scene.of(MUSCLED, dimensions=2), np.arange(3) * 0.01, Observation(Keypoints(["hand"])))
     shown = flat.emission(torch.tensor([0.0, 0.4, 0.0, 0.0, 0.0], dtype=F64), 0).base_dist.loc
     assert shown == pytest.approx(data.site("hand").xpos[[0, 2]], abs=1e-9)
+    axes = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=F64)  # it looks along y, 2 m off
+    one = {"focal": [[900.0, 800]], "center": [[640.0, 360]], "distortion": [[0.0] * 5], "translation": [[0.0, 0, 2]]}
+    limit = torch.full((1,), torch.inf)
+    camera = PinholeCameras(**{k: torch.tensor(v, dtype=F64) for k, v in one.items()}, rotation=axes[None], limit=limit)
+    pixels = Pixels(camera, ("left",), torch.tensor([[1280.0, 720]]), ("hand",), lasting=False)
+    filmed = EngineModel(MUSCLED, np.arange(3) * 0.01, Observation(pixels), drive=Controls())
+    x, y, z = data.site("hand").xpos
+    expected = [900 * x / (y + 2) + 640, -800 * z / (y + 2) + 360]
+    assert filmed.emission(state, 0).base_dist.loc == pytest.approx(expected, abs=1e-9)
 
 
 def test_many_states_and_rows_at_once_are_the_same_as_one_by_one():
