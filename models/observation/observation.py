@@ -164,7 +164,7 @@ class Observation:
         parameters: dict[str, Tensor] = {}
         for each in self.sensors:
             own = each.defaults(reach)
-            if wrong := [k for k, v in own.items() if not (k.startswith("emission.") and isinstance(v, Tensor))]:
+            if wrong := [k for k, v in own.items() if not ("." in k and isinstance(v, Tensor))]:
                 raise ValueError(f"{each.name}: expected tensors named emission.<name>, got {', '.join(wrong)}")
             if (lengths := tuple(map(len, each.coords.values()))) != each.shape:
                 raise ValueError(f"{each.name}: expected as many coords as its shape {each.shape} has, got {lengths}")
