@@ -29,9 +29,9 @@ from invdyn.diagnosis.regression.regress import regress
 from invdyn.diagnosis.regression.stated_numbers import Estimated
 from invdyn.models.bodies.inertia import NAMES
 from invdyn.models.bodies.mjcf_writer import write_mjcf
+from invdyn.models.bodies.point_mass import point_moments
 from invdyn.models.bodies.protocol import AXES
 from invdyn.models.dynamics.registry import dynamics_for
-from invdyn.models.effects.inertias import point_moments
 from invdyn.recordings import Recording
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
