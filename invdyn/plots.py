@@ -120,6 +120,7 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
 
 
 OF_CONTACT = {"contact_force": "force", "centre_of_pressure": "centre of pressure"}
+OF_ACTUATOR = (("activation", "activation_of", "activation", ""), ("actuator_force", "actuator", "force", "N"))
 ACTS = 1.0
 """N, median force of a contact in some row, from which on it has panels."""
 
@@ -153,7 +154,6 @@ def actuator_curves(idata: az.InferenceData) -> dict[int, list[tuple[str, str, n
     return found
 
 
-OF_ACTUATOR = (("activation", "activation_of", "activation", ""), ("actuator_force", "actuator", "force", "N"))
 MAX_PANELS = 8
 """States that a comparison draws, the first ones."""
 

@@ -82,7 +82,7 @@ def doubts_of(idata: az.InferenceData) -> list[str]:
     return [*json.loads(idata.attrs["settings"]).get("in_doubt", []), *_too_few(idata), *few, *body]
 
 
-OF_ACTUATORS = {"activation": "Activations", "actuator_force": "Forces of actuators (N)"}
+ACTUATOR_TITLES = {"activation": "Activations", "actuator_force": "Forces of actuators (N)"}
 
 
 def summary_text(idata: az.InferenceData) -> str:
@@ -104,7 +104,7 @@ def summary_text(idata: az.InferenceData) -> str:
     lines = [f"{line}\n" * (line is doubts[-1]) or line for line in doubts]
     lines += [f"Joint {quantity}s ({unit}) over {frames} frames\n\n{table}\n\n{'; '.join(known)}".rstrip()]
     lines += _of_paths(idata)
-    for name, title in OF_ACTUATORS.items():
+    for name, title in ACTUATOR_TITLES.items():
         if name in idata["posterior"]:
             lines += [f"{title}\n\n{quantity_table(idata, name).to_string(float_format='{:.3g}'.format)}\n"]
     length = idata["posterior"]["position"].attrs["units"]
