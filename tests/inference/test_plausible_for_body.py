@@ -59,20 +59,28 @@ def test_exchanged_names_are_refused_whether_lengths_are_guessed_or_not(film):
             check_fits(exchanged, ARM, guessed)
 
 
-def test_exchanged_names_show_by_lengths_that_change_where_a_table_knows_them_roughly():
-    """A bend of 1.3 ± .4 rad, in an arm that is a tenth and more off the table's."""
+@pytest.fixture
+def reach():
+    """Shoulder, elbow and wrist (120, 3, 2) m, a bend of 1.3 ± .4 rad, of an arm a tenth and more off the table's."""
     time = np.linspace(0, 2, 120)
     bend = np.stack([np.sin(3 * time) - 1.2, np.sin(3 * time) + 0.1 + 0.4 * np.cos(4 * time)], axis=-1)
     links = np.array([[0.31], [0.345]]) * np.stack([np.cos(bend), np.sin(bend)], axis=-1)
     points = np.concatenate([np.zeros((120, 1, 2)), links.cumsum(1)], axis=1)
-    points += 0.001 * np.random.default_rng(0).normal(size=points.shape)
-    arm = person(1.75, 70.0, "m")
-    put_right(Recording(time, points, ("shoulder", "elbow", "wrist")), arm)
+    return time, points + 0.001 * np.random.default_rng(0).normal(size=points.shape)
+
+
+def test_exchanged_names_show_by_lengths_that_change_where_a_table_knows_them_roughly(reach):
+    put_right(Recording(*reach, ("shoulder", "elbow", "wrist")), person(1.75, 70.0, "m"))
     with pytest.raises(InputError, match="'elbow' and 'wrist' seem to be exchanged"):
-        put_right(Recording(time, points, ("shoulder", "wrist", "elbow")), arm)
-    points[:, 0], points[:, 1] = 0.0, points[0, 1]  # a base may be given as a place
+        put_right(Recording(*reach, ("shoulder", "wrist", "elbow")), person(1.75, 70.0, "m"))
+
+
+def test_a_warning_names_a_keypoint_that_never_changes_unless_it_is_the_base(reach):
+    """Where others have noise. A base may be given as a place."""
+    time, points = reach
+    points[:, 0], points[:, 1] = 0.0, points[0, 1]
     with pytest.warns(UserWarning, match=r"^elbow_[xy] never changes, to the last digit.*if elbow was not seen"):
-        put_right(Recording(time, points, ("shoulder", "elbow", "wrist")), arm)
+        put_right(Recording(time, points, ("shoulder", "elbow", "wrist")), person(1.75, 70.0, "m"))
 
 
 def test_the_order_of_columns_does_not_matter(film):
