@@ -40,8 +40,6 @@ UNTOLD = 0.6
 ACTS = 1.0
 """N, median force of a contact from which on it acts in a row."""
 PRIOR_DRAWS = 4000
-SPLIT = 1.5
-"""Times as uncertain as their sum that single forces are where their split is not known; .7 if they are independent."""
 
 
 def engine_contents(
@@ -173,10 +171,11 @@ def contact_lines(force: np.ndarray, names: Sequence[str], ground: np.ndarray) -
         stands = (np.median(one, 0) > ACTS) & (np.median(other, 0) > ACTS)
         if not stands.any():
             continue
-        # Means over the rows: momentum knows a sum's, and of single rows' forces next to nothing.
+        # Means over the rows: momentum knows a sum's, and of single rows' forces next to nothing. Its sd is √2 of a
+        # single one's where they are independent, and below it where more than half of each makes up for the other.
         one, other = one[:, stands].mean(1), other[:, stands].mean(1)
         single, together = float(min(one.std(), other.std())), float((one + other).std())
-        if single > SPLIT * max(together, 1e-9):
+        if single > together:
             lines.append(
                 f"while both touch, the motion does not tell how {names[i]} and {names[j]} share the load: each ± "
                 f"{1.645 * single:.2g} N (90 %) on average, their sum ± {1.645 * together:.2g} N"

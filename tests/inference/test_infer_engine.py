@@ -96,7 +96,7 @@ def test_feet_that_stand_together_share_a_load_that_no_motion_tells():
 
 def test_a_split_is_said_where_forces_make_up_for_each_other():
     rng = np.random.default_rng(0)
-    for shared, said in ((-0.86, True), (0.0, False), (0.9, False)):
+    for shared, said in ((-0.86, True), (-0.6, True), (-0.4, False), (0.0, False), (0.9, False)):
         force = np.zeros((400, 10, 2, 3))
         force[..., 2] = 20 + rng.multivariate_normal([0, 0], [[25, 25 * shared], [25 * shared, 25]], 400)[:, None]
         lines = contact_lines(force, ["floor-left", "floor-right"], np.array([True, True]))
