@@ -1,14 +1,14 @@
 """A film of the arm: observed and predicted joints above, the torques with a moving time line below.
 
 In space it is seen from two sides, x and z from the front, y and z from the side. Lines join the points as the body
-has them; others are the forces of contacts. In the plane it may lie over the film that was tracked.
+has them; others are forces of contacts, and on bodies at joints. In the plane it may lie over the tracked film.
 
 The still parts (axes, torque bands) are drawn once; each frame restores them and draws a few artists on top,
 so that it costs milliseconds. The film has the recording's own speed. GIF by Pillow, MP4 by
 imageio-ffmpeg (extra `video`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +57,8 @@ ARMS = 30  # posterior draws shown as pale arms
 VIEWS = {2: [(0, 1)], 3: [(0, 2), (1, 2)]}
 """Of each number of coordinates: which two each picture shows."""
 WIDTH = 6.4  # inches
-LONGEST = 0.3  # of the arm's size, the line of the largest force of a contact
+LONGEST = 0.3  # of the arm's size, the line of the largest force
+OF_JOINT = ("reaction_force", "joint_centre")
 TRAIL = 0.3  # s of its past that the last observed keypoint draws behind it
 
 
@@ -117,14 +118,14 @@ def film_frames(
         observed = idata["observed_data"]["position"].transpose("time", "keypoint", "space").values
     else:
         observed = np.full((len(time), 1, arms.shape[-1]), np.nan)
-    forces = force_lines(idata, float(np.ptp(mean, axis=(0, 1)).max()))
+    forces, inks = force_lines(idata, float(np.ptp(mean, axis=(0, 1)).max()))
     if overlay is not None:
         arms, mean, observed, forces = map(overlay.pixels, (arms, mean, observed, forces))
     dotted = ":" if len(views) == 1 else "none"  # a chain's keypoints follow each other; a tree's need not
     with matplotlib.rc_context(STYLE):
         figure, arm_axes, torque_axes = still_parts(idata, arms, observed, None if overlay is None else overlay.size)
         canvas = FigureCanvasAgg(figure)
-        pictures = [Picture(axes, list(view), dotted) for axes, view in zip(arm_axes, views, strict=True)]
+        pictures = [Picture(axes, list(view), dotted, inks) for axes, view in zip(arm_axes, views, strict=True)]
         clock = arm_axes[-1].set_title(f"{time[-1]:.2f} s", loc="right")  # above the picture, not over it
         cursors = [axes.axvline(time[0], color=INK, linewidth=1) for axes in torque_axes]
         moving: list[Any] = [*(artist for picture in pictures for artist in picture.artists), clock, *cursors]
@@ -186,26 +187,32 @@ def skeleton(idata: az.InferenceData) -> list[list[int]]:
     return lines
 
 
-def force_lines(idata: az.InferenceData, size: float) -> np.ndarray:
-    """Lines (contact, time, 2, d) from mean centres of pressure along mean forces; NaN where a pair does not touch."""
+def force_lines(idata: az.InferenceData, size: float) -> tuple[np.ndarray, list[str]]:
+    """Lines (force, time, 2, d) from where mean forces act along them, of contacts, then of joints; and their colours.
+
+    NaN where a pair does not touch.
+    """
     space = [list(AXIS_COLORS).index(str(name)) for name in idata["posterior"]["space"].values]
-    if "contact_force" not in idata["posterior"]:
-        return np.empty((0, idata["posterior"].sizes["time"], 2, len(space)))
-    draws = pooled(idata)
-    force, centre = (draws[name].transpose("sample", "time", "contact", "axis").values for name in OF_CONTACT)
-    force, touches = force.mean(0), np.isfinite(centre).sum(0)
-    middle = np.where(touches > 0, np.nansum(centre, 0), np.nan) / np.maximum(touches, 1)
-    far = force * LONGEST * size / max(np.linalg.norm(force, axis=-1).max(), 1e-9)
-    return np.stack([middle, middle + far], 2)[..., space].swapaxes(0, 1)
+    draws, lines, inks = pooled(idata), [np.empty((idata["posterior"].sizes["time"], 0, 2, 3))], []
+    for dim, names, ink in (("contact", OF_CONTACT, GREEN), ("link", OF_JOINT, ORANGE)):
+        if set(names) <= set(draws):
+            force, place = (draws[name].transpose("sample", "time", dim, "axis").values for name in names)
+            known = np.isfinite(place).sum(0)
+            middle = np.where(known > 0, np.nansum(place, 0), np.nan) / np.maximum(known, 1)
+            lines.append(np.stack([middle, force.mean(0)], 2))
+            inks += [ink] * force.shape[2]
+    ends = np.concatenate(lines, 1)
+    ends[:, :, 1] *= LONGEST * size / max(np.linalg.norm(ends[:, :, 1], axis=-1).max(initial=0), 1e-9)
+    return ends.cumsum(2)[..., space].swapaxes(0, 1), inks
 
 
 class Picture:
     """One view of the arm, with what moves in it: pale arms of posterior draws, their mean, what was observed.
 
-    And forces of contacts.
+    And forces of contacts and joints.
     """
 
-    def __init__(self, axes: Axes, view: list[int], dotted: str):
+    def __init__(self, axes: Axes, view: list[int], dotted: str, inks: Sequence[str] = (GREEN,)):
         self.view = view
         self.draws = LineCollection([], colors=BLUE, alpha=0.12, linewidths=2.5)
         (self.trail,) = axes.plot([], [], color=VERMILION, alpha=0.5, linewidth=1)
@@ -214,7 +221,7 @@ class Picture:
         (self.dots,) = axes.plot(
             [], [], "o", linestyle=dotted, color=VERMILION, linewidth=1, markersize=6, mfc="none", mew=1.6
         )
-        self.forces = LineCollection([], colors=GREEN, linewidths=2)
+        self.forces = LineCollection([], colors=inks, linewidths=2)
         for collection in (self.draws, self.arm, self.forces):
             axes.add_collection(collection)
         self.artists: list[Any] = [self.draws, self.trail, self.arm, self.joints, self.dots, self.forces]
@@ -230,7 +237,7 @@ class Picture:
     ) -> None:
         """One frame: `draws` (sample, 1 + S, d), `mean` (1 + S, d), `observed` (P, d), the last one's past (t, d).
 
-        And lines of `forces` (contact, 2, d).
+        And lines of `forces` (force, 2, d).
         """
         self.forces.set_segments(list(forces[..., self.view]))
         self.draws.set_segments([arm for line in lines for arm in draws[:, line][..., self.view]])
@@ -299,8 +306,9 @@ def still_parts(
     ]
     if f"truth_{shown}" in known:
         entries.append(Line2D([], [], color=INK, linewidth=1, dashes=(4, 2), label="truth"))
-    if "contact_force" in idata["posterior"]:
-        entries.append(Line2D([], [], color=GREEN, linewidth=2, label="force"))
+    for (name, _), color, label in ((OF_CONTACT, GREEN, "force"), (OF_JOINT, ORANGE, "joint's reaction")):
+        if name in idata["posterior"]:
+            entries.append(Line2D([], [], color=color, linewidth=2, label=label))
     entries += unseen_entry(idata)
     figure.legend(handles=entries, loc="outside upper left", ncols=4)
     figure.align_ylabels()

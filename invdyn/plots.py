@@ -1,11 +1,12 @@
 """The posterior as a figure: keypoints, angles and torques with 50 and 90 % bands.
 
 Each joint has a row with its angle (rad) and its torque (N·m). Below them each contact that acts has one with its force
-(N) and its centre of pressure (m), and each actuator that is inferred one with its activation and its force (N). Next
-to them each tracked keypoint has a row, or a point of the body where none was tracked: observed and predicted, in the
-recording's length unit. Rows that tell nothing of a coordinate are hatched: what is drawn there is the prior. Rows in
-which the filters kept few effective particles are marked below the torques: bands there differ from one seed to the
-next. A panel shows what nearly all rows hold, and a triangle at its edge says where a curve or a point leaves it.
+(N) and its centre of pressure (m), each body one with the force (N) and moment (N·m) that its joint bears, and each
+actuator that is inferred one with its activation and its force (N). Next to them each tracked keypoint has a row, or a
+point of the body where none was tracked: observed and predicted, in the recording's length unit. Rows that tell nothing
+of a coordinate are hatched: what is drawn there is the prior. Rows in which the filters kept few effective particles
+are marked below the torques: bands there differ from one seed to the next. A panel shows what nearly all rows hold, and
+a triangle at its edge says where a curve or a point leaves it.
 Figures are plain `matplotlib.figure.Figure` objects: no window, no pyplot state, fit for a server.
 """
 
@@ -55,8 +56,8 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
     group = "posterior_predictive" if predicted else "posterior"
     shown = slice(None) if predicted else slice(-len(joints), None)  # a robot's file may name many points
     keypoints, tips = idata[group]["keypoint"].values[shown], quantiles(idata, "position", group)[:, :, shown]
-    contacts, actuators = acting(idata), actuator_curves(idata)
-    above = len(joints) + len(contacts)
+    borne, actuators = acting(idata), actuator_curves(idata)
+    above = len(joints) + len(borne)
     rows = max(above + max((len(curves) for curves in actuators.values()), default=0), len(keypoints))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 1.9 * rows + 1.0), layout="constrained")
@@ -89,12 +90,12 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
                 if f"truth_{name}" in known:
                     draw_truth(axes, time, known[f"truth_{name}"].values[:, row])
                 limit_to_usual(axes, time)
-        for row, contact in enumerate(contacts, len(joints)):
-            for column, name in enumerate(OF_CONTACT, 1):
+        for row, (each, panels) in enumerate(borne, len(joints)):
+            for column, (name, words) in enumerate(panels.items(), 1):
                 axes = figure.add_subplot(grid[row, column])
-                axes.set_title(f"{contact} {OF_CONTACT[name]}", loc="left")
+                axes.set_title(f"{each} {words}", loc="left")
                 axes.set_ylabel(posterior[name].attrs["units"])
-                for bands, color in zip(contact_bands(idata, name, contact), AXIS_COLORS.values(), strict=True):
+                for bands, color in zip(bands_of_axes(idata, name, each), AXIS_COLORS.values(), strict=True):
                     draw_bands(axes, time, bands, color)
                     axes.get_lines()[-1].set(marker=".", markersize=3)  # a lone row has no line
                 limit_to_usual(axes, time)
@@ -120,23 +121,28 @@ def plot_posterior(idata: az.InferenceData) -> Figure:
 
 
 OF_CONTACT = {"contact_force": "force", "centre_of_pressure": "centre of pressure"}
+OF_LINK = {"reaction_force": "reaction force", "reaction_moment": "reaction moment"}
 OF_ACTUATOR = (("activation", "activation_of", "activation", ""), ("actuator_force", "actuator", "force", "N"))
 ACTS = 1.0
-"""N, median force of a contact in some row, from which on it has panels."""
+"""N, median force of a contact or a joint in some row, from which on it has panels."""
 
 
-def acting(idata: az.InferenceData) -> list[str]:
-    """Names of the contacts that act."""
-    if "contact_force" not in idata["posterior"]:
-        return []
-    force = pooled(idata)["contact_force"].transpose("sample", "time", "axis", "contact")
-    most = np.median(np.linalg.norm(force.values, axis=2), axis=0).max(0)
-    return [str(name) for name in force["contact"].values[most > ACTS]]
+def acting(idata: az.InferenceData) -> list[tuple[str, dict[str, str]]]:
+    """Names of the contacts that act, then of the bodies whose joints bear something, each with its panels."""
+    found = []
+    for dim, panels in (("contact", OF_CONTACT), ("link", OF_LINK)):
+        if (name := next(iter(panels))) in idata["posterior"]:
+            force = pooled(idata)[name].transpose("sample", "time", "axis", dim)
+            most = np.median(np.linalg.norm(force.values, axis=2), axis=0).max(0)
+            found += [(str(each), panels) for each in force[dim].values[most > ACTS]]
+    return found
 
 
-def contact_bands(idata: az.InferenceData, name: str, contact: str) -> np.ndarray:
-    """QUANTILES (axis, 5, time) of a contact's variable; NaN in rows in which it has none in half of the draws."""
-    draws = pooled(idata)[name].sel(contact=contact).transpose("axis", "time", "sample").values
+def bands_of_axes(idata: az.InferenceData, name: str, of: str) -> np.ndarray:
+    """QUANTILES (axis, 5, time) of a contact's or body's variable; NaN in rows where half of the draws have none."""
+    own = pooled(idata)[name]
+    dim = "contact" if "contact" in own.dims else "link"
+    draws = own.sel({dim: of}).transpose("axis", "time", "sample").values
     known = np.isfinite(draws).mean(-1) > 0.5
     found = np.full((len(QUANTILES), *known.shape), np.nan)
     found[:, known] = np.nanquantile(draws[known], QUANTILES, axis=-1)

@@ -5,7 +5,8 @@ posterior             torque [chain, draw, time, joint] N·m (N of slides), the 
                       drive [.., input] in each input's unit (controls, excitations, wrenches); activation
                       [.., activation_of] and actuator_force [.., actuator] N where the file's actuators are the drive;
                       contact_force N and centre_of_pressure m [.., contact, axis] of pairs of shapes that touch;
-                      reaction_force N and reaction_moment N·m [.., link, axis] on each body with a joint
+                      reaction_force N and reaction_moment N·m [.., link, axis] on each body with a joint, and the
+                      joint_centre m about which the moment is
 posterior_predictive  position, angle, sensor with observation noise
 observed_data         the same, as recorded
 constant_data         the model's parameters; skeleton; ground [contact], 1 for contacts with what does not move
@@ -81,8 +82,8 @@ def engine_contents(
         posterior["centre_of_pressure"] = (sizes, contacts.centre.reshape(*lead, *contacts.centre.shape[1:]))
 
     links, wrench = joint_reactions(model, flat)
-    for kind, part in (("force", wrench[..., :3]), ("moment", wrench[..., 3:])):
-        posterior[f"reaction_{kind}"] = ([*DRAWS, "time", "link", "axis"], part.reshape(*lead, *part.shape[1:]))
+    for name, part in zip(("reaction_force", "reaction_moment", "joint_centre"), np.split(wrench, 3, -1), strict=True):
+        posterior[name] = ([*DRAWS, "time", "link", "axis"], part.reshape(*lead, *part.shape[1:]))
 
     predictive, observed, of_sensors, seen = sensed(model.observation, rows, observations, "m")
     attributes: dict[str, Any] = {
@@ -197,7 +198,8 @@ def _units(model: EngineModel) -> dict[str, str]:
     units = {"torque": "N·m", "angle": "rad", "velocity": "rad/s", "position": "m"}  # of joints that turn
     units |= {"truth_torque": units["torque"], "truth_angle": "rad", "truth_velocity": "rad/s"}
     units |= {"drive": " and ".join(dict.fromkeys(model.inputs.units)), "actuator_force": "N"}
-    return units | {"contact_force": "N", "centre_of_pressure": "m", "reaction_force": "N", "reaction_moment": "N·m"}
+    units |= {"contact_force": "N", "centre_of_pressure": "m"}
+    return units | {"reaction_force": "N", "reaction_moment": "N·m", "joint_centre": "m"}
 
 
 def _skeleton(scene: Scene) -> list[tuple[int, int]]:

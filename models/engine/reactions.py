@@ -2,14 +2,14 @@
 
 MuJoCo's recursive Newton–Euler with all forces (``mj_rnePostConstraint``; R. Featherstone, Rigid Body Dynamics
 Algorithms, 2008, chapter 5) has of each body a wrench (m, f) about the centre of mass c of the tree that it belongs to,
-in the world's axes. About the anchor p of the body's first joint,
+in the world's axes. About the anchor p of the body's first joint, which moves with the body,
 
     moment = m + (c − p) × f.
 
 It is that of the row itself, where contact forces are means up to the next one. Joints bear nothing along what they
 leave free, but for drives, springs and damping.
 
-Shapes: paths (N, T, D), B bodies with joints, wrench (N, T, B, 6): force N, then moment N·m.
+Shapes: paths (N, T, D), B bodies with joints, wrench (N, T, B, 9): force N, then moment N·m, then anchor m.
 """
 
 from collections.abc import Iterator
@@ -27,14 +27,17 @@ def joint_reactions(model: EngineModel, paths: np.ndarray) -> tuple[tuple[str, .
     bodies = np.flatnonzero(compiled.body_jntnum)
     joints, roots = compiled.body_jntadr[bodies], compiled.body_rootid[bodies]
     flat = paths.reshape(-1, paths.shape[-1])
-    out = np.full((len(flat), len(bodies), 6), np.nan)
+    out = np.full((len(flat), len(bodies), 9), np.nan)
     for k, data in evaluated(model, compiled, flat):
         mujoco.mj_rnePostConstraint(compiled, data)
         moment, force = data.cfrc_int[bodies, :3], data.cfrc_int[bodies, 3:]
-        off = data.subtree_com[roots] - data.xanchor[joints]
-        out[k] = np.concatenate([force, moment + np.cross(off, force)], -1)
+        anchor = data.xpos[bodies] + np.einsum(
+            "bij,bj->bi", data.xmat[bodies].reshape(-1, 3, 3), compiled.jnt_pos[joints]
+        )
+        moment = moment + np.cross(data.subtree_com[roots] - anchor, force)
+        out[k] = np.concatenate([force, moment, anchor], -1)
     names = tuple(compiled.body(b).name or f"body{b}" for b in bodies.tolist())
-    return names, out.reshape(*paths.shape[:-1], len(bodies), 6)
+    return names, out.reshape(*paths.shape[:-1], len(bodies), 9)
 
 
 def evaluated(model: EngineModel, compiled: Any, flat: np.ndarray) -> Iterator[tuple[int, Any]]:

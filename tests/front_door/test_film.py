@@ -103,8 +103,8 @@ def test_observed_joints_are_drawn_where_seen_only(make_posterior):
     assert seen_pixels.sum() > 1.5 * unseen_pixels.sum() > 0
 
 
-def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
-    """The largest is .3 of the size long; where a pair does not touch there is none."""
+def test_forces_are_lines_from_where_they_act(make_posterior):
+    """The largest is .3 of the size long; where a pair does not touch there is none. Those of joints are orange."""
     idata = make_posterior(1, num_frames=4, num_filters=2, num_draws=1)
     centre = np.full((2, 1, 4, 1, 3), [0.5, -0.2, 7.0])
     centre[:, :, 1], centre[0, :, 2] = np.nan, np.nan
@@ -113,7 +113,8 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
     of = {"dims": ("chain", "draw", "time", "contact", "axis"), "coords": {"contact": ["floor-foot"]}}
     idata.posterior["contact_force"] = xr.DataArray(force, **of)
     idata.posterior["centre_of_pressure"] = xr.DataArray(centre, **of)
-    found = force_lines(idata, size=2.0)
+    found, inks = force_lines(idata, size=2.0)
+    assert inks == [GREEN]
     assert found.shape == (1, 4, 2, 2)  # contact, time, ends, space: points of a row, as an overlay has them
     lines = found[0]
     np.testing.assert_allclose(lines[[0, 2]], [[[0.5, -0.2], [0.5, 0.4]], [[0.5, -0.2], [0.5, 0.1]]])
@@ -128,7 +129,12 @@ def test_forces_of_contacts_are_lines_from_where_they_act(make_posterior):
         green = [np.all(frame == np.round(255 * np.array(to_rgb(GREEN))), axis=-1).sum() for frame in (pushed, free)]
         assert green[0] > green[1] + 50 > 50  # those of the legend are in both
     idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
-    np.testing.assert_allclose(force_lines(idata, size=2.0)[0, 0], [[0.5, 7.0], [0.5, 7.0]])
+    borne = {"dims": ("chain", "draw", "time", "link", "axis"), "coords": {"link": ["shank"]}}
+    idata.posterior["reaction_force"] = xr.DataArray(np.full(force.shape, [0.0, 0.0, -20.0]), **borne)
+    idata.posterior["joint_centre"] = xr.DataArray(np.full(force.shape, [0.1, 3.0, 1.0]), **borne)
+    found, inks = force_lines(idata, size=2.0)
+    assert inks == [GREEN, ORANGE]
+    np.testing.assert_allclose(found[:, 0], [[[0.5, 7.0], [0.5, 7.0]], [[0.1, 1.0], [0.1, 0.4]]])
 
 
 def test_a_view_from_the_side_shows_forces_along_its_own_axes():

@@ -143,6 +143,15 @@ def test_contacts_that_act_have_panels_of_force_and_centre(make_posterior):
     np.testing.assert_allclose(pushed.get_lines()[2].get_ydata(), median[:, 0, 2])
     assert np.flatnonzero(np.isnan(place.get_lines()[0].get_ydata())).tolist() == list(range(20, 30))
     assert texts(figure)[:3] == ["x", "y", "z"]
+    borne = {"dims": (*of["dims"][:3], "link", "axis"), "coords": {"link": ["thigh", "shank", "hand"]}}
+    for name, size, unit in (("reaction_force", 1, "N"), ("reaction_moment", 0.1, "N·m")):
+        idata.posterior[name] = xr.DataArray(size * force, **borne, attrs={"units": unit})
+    figure = plot_posterior(idata)  # the shank's joint bears nothing
+    assert len(figure.axes) == 2 + 2 * (2 + 2 + 2)
+    bears, turns = panel(figure, "hand reaction force"), panel(figure, "hand reaction moment")
+    assert [bears.get_ylabel(), turns.get_ylabel()] == ["N", "N·m"]
+    assert bears.get_subplotspec().rowspan.start == turns.get_subplotspec().rowspan.start == 5
+    np.testing.assert_allclose(turns.get_lines()[2].get_ydata(), 0.1 * median[:, 2, 2])
     idata.posterior = idata.posterior.assign_coords(space=["x", "z"])
     keypoint = plot_posterior(idata).axes[0].get_lines()
     assert [line.get_color() for line in keypoint[:2]] == [AXIS_COLORS["x"], AXIS_COLORS["z"]]

@@ -71,7 +71,7 @@ def test_joints_bear_what_sensors_in_them_measure():
     states = torch.cat([states, torch.full((1, 8), np.nan, dtype=F64)])
     names, wrench = joint_reactions(model, states[None].numpy())
     assert names == ("trunk", "thigh", "shank")
-    assert wrench.shape == (1, 3, 3, 6)
+    assert wrench.shape == (1, 3, 3, 9)
     assert np.isnan(wrench[0, 2]).all()
     compiled = mujoco.MjModel.from_xml_string(text)
     data, contacts = mujoco.MjData(compiled), []
@@ -81,7 +81,7 @@ def test_joints_bear_what_sensors_in_them_measure():
         contacts.append(data.ncon)
         axes = data.site("knee").xmat.reshape(3, 3)
         theirs = np.concatenate([axes @ data.sensordata[:3], axes @ data.sensordata[3:]])
-        assert found[2] == pytest.approx(theirs, rel=1e-6, abs=1e-6)
+        assert found[2] == pytest.approx([*theirs, *data.site("knee").xpos], rel=1e-6, abs=1e-6)
         # About the knee's own axis it is the drive less damping and rotor; the trunk's rail bears nothing upwards.
         own = state[1] - 0.05 * state[7] - 0.005 * data.qacc[2]
         assert found[2, 4] == pytest.approx(own, abs=1e-5)
