@@ -3,7 +3,7 @@
     time                        s; or in its place
     frame                       number of the frame, of a film of known frame rate
     <keypoint>_x,_y[,_z]        m; x right, y up in 2-D; z up in 3-D
-    <keypoint>_likelihood       the tracker's confidence, optional
+    <keypoint>_likelihood       the tracker's confidence, optional; or _vis, _conf, _score, _prob
     <joint>_torque              N·m, the commanded torque, constant until the next row that has one; optional
     <joint>_angle               rad, Denavit–Hartenberg, from encoders; optional
 
@@ -25,7 +25,8 @@ AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
 TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
 OF_LOGS = ("position", "velocity", "effort", "target")  # endings of a robot's own columns
-OF_TRACKERS = ("conf", "vis", "score", "prob")  # beginnings of their words for a likelihood
+LIKELIHOOD = "likelihood"
+OF_TRACKERS = ("conf", "confidence", "vis", "visibility", "score", "prob", "probability")  # their words for it
 
 
 def read_keypoint_csv(
@@ -49,6 +50,7 @@ def read_keypoint_csv(
     """
     columns, where = read_table(path)
     with about(path):
+        columns = _in_our_words(columns)
         found = _split(columns, joints or ())
         points = _distinct(stem for stem, suffix in found if suffix in AXES)
         in_file = _distinct(stem for stem, suffix in found if suffix in ("torque", "angle"))
@@ -120,6 +122,18 @@ def write_keypoint_csv(recording: Recording, path: str | Path) -> None:
     write_table(columns, path)
 
 
+def _in_our_words(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same, with a tracker's word for a likelihood replaced; InputError for two of one keypoint."""
+    found: dict[str, np.ndarray] = {}
+    for column, values in columns.items():
+        stem, _, end = column.rpartition("_")
+        name = f"{stem}_{LIKELIHOOD}" if stem and end.casefold() in OF_TRACKERS else column
+        if name in found:
+            raise InputError(f"expected one likelihood of {stem!r}, got two columns: leave out {column!r}")
+        found[name] = values
+    return found
+
+
 def _split(columns: Iterable[str], joints: Sequence[str]) -> list[tuple[str, str]]:
     """Column names as (stem, suffix), the clock left out; InputError for one that is neither, and not one clock."""
     columns = list(columns)
@@ -142,7 +156,6 @@ def _split(columns: Iterable[str], joints: Sequence[str]) -> list[tuple[str, str
             stems = {s for s, _ in found if s} | {*joints}
             known = [*CLOCKS, *(f"{s}_{end}" for s in sorted(stems) for end in SUFFIXES)]
             whole = [name for name in known if name.startswith(column)]  # wrist_lik for wrist_likelihood
-            whole += [f"{stem}_likelihood" for end in OF_TRACKERS if suffix.casefold().startswith(end)]
             near_one = whole[0] if whole else nearest(column, known)
             raise InputError(
                 f"unknown column {column!r}{'' if near_one is None else f'; the closest known is {near_one!r}'} "

@@ -122,7 +122,7 @@ BAD = {
         ["time,wrist_x,wrist_y,wrist_lik", "0,1,1,1", "1,1,1,1"],
         "'wrist_lik'.*'wrist_likelihood'",
     ),
-    "a tracker's word": (["time,a_x,a_y,a_vis", "0,1,1,1", "1,1,1,1"], "'a_vis'; the closest known is 'a_likelihood'"),
+    "two likelihoods": (["time,a_x,a_y,a_vis,a_likelihood", "0,1,1,1,1", "1,1,1,1,1"], "one likelihood of 'a'"),
     "a log of one joint": (["time,position", "0,1", "1,1"], "'position' of a robot's log: pass --map"),
     "a log's column": (["time,hip_position", "0,1", "1,1"], "'hip_position' of a robot's log: pass --map"),
     "plain column": (["time,wrist_x,wrist_y,speed", "0,1,1,1", "1,1,1,1"], "unknown column 'speed'"),
@@ -136,6 +136,12 @@ BAD = {
     "semicolons": (["time;a_x;a_y", "0;1;1", "1;1;1"], "separated by commas, these are by ';'"),
     "tabs": (["time\ta_x\ta_y", "0\t1\t1", "1\t1\t1"], "separated by commas"),
 }
+
+
+@pytest.mark.parametrize("word", ["likelihood", "vis", "Confidence", "score"])
+def test_a_trackers_word_for_a_likelihood_is_read(tmp_path, word):
+    path = write(tmp_path, f"time,a_x,a_y,a_{word}", "0,1,1,.25", "1,1,1,")
+    assert read_keypoint_csv(path).confidence.tolist() == [[0.25], [pytest.approx(np.nan, nan_ok=True)]]
 
 
 def test_numbers_of_frames_are_no_seconds(tmp_path):
