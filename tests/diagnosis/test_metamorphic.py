@@ -178,7 +178,7 @@ def test_units_of_a_file_are_only_units(tmp_path, unit, length, time):
     assert_same(said(read), said(plain))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_workers_say_what_one_says():
     assert said(rubbing(), workers=2) == plainly()
 

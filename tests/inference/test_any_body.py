@@ -236,7 +236,7 @@ def test_lagranges_equations_conserve_energy():
 
 
 @pytest.mark.quick("1-D")
-@pytest.mark.parametrize("body", [BEAD, FORK, BALL], ids=lambda body: f"{body.dimensions}-D")
+@pytest.mark.parametrize("body", [BEAD, pytest.param(FORK, marks=pytest.mark.slow), BALL], ids=["1-D", "2-D", "3-D"])
 def test_keypoints_in_any_number_of_dimensions(body):
     model = model_of(body, Keypoints(body.keypoint_names))
     assert model.observation_dim == len(body.keypoint_names) * body.dimensions

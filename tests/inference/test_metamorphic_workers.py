@@ -36,7 +36,7 @@ def workers():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("batch", [None, 1, 3])
+@pytest.mark.parametrize("batch", [None, 3])
 def test_workers_share_the_filters(workers, batch):
     """One worker, two or none give the same bits, in batches of a given size."""
     options = {"settings": KNOWN, "filters_per_task": batch, **PARTICLES}

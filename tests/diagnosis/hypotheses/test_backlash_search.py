@@ -37,7 +37,7 @@ def searched():
     return refine_backlash(*loose_joint())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_evidence_is_smooth_in_the_width_and_largest_near_the_true_one():
     """Within some tenths of a nat of a cubic, in ten percent either way; all of them leave nothing.
 

@@ -114,7 +114,7 @@ def test_a_heavier_link_is_found_by_its_base_parameters():
         assert own[name].value == pytest.approx(value, rel=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_noise_in_encoders_biases_nothing():
     """Damping and dry friction over six recordings of much noise: on average within two standard errors, and 3 %."""
     values = [regress(recorded(10 + n, friction, noise=3e-3), BODY) for n in range(6)]

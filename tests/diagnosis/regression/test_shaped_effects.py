@@ -260,9 +260,9 @@ def played(robot, late=0.0, offset=0.0, lag=0.0, at=3, seconds=8.0):
     ("change", "effect", "value"),
     [
         ({}, None, 0.0),
-        ({"late": 0.015}, "actuator_delay", 0.015),
+        pytest.param({"late": 0.015}, "actuator_delay", 0.015, marks=pytest.mark.slow),
         ({"lag": 0.015}, "actuator_lag", 0.015),
-        ({"offset": 0.08}, "encoder_offset", 0.08),
+        pytest.param({"offset": 0.08}, "encoder_offset", 0.08, marks=pytest.mark.slow),
     ],
 )
 def test_mujocos_robot_of_seven_joints_is_told_what_is_odd(robot, change, effect, value):

@@ -36,7 +36,7 @@ def test_a_torque_that_is_not_looked_into_is_in_the_intervals():
         assert (low < 0.25 < high) == inside
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_intervals_hold_the_truth():
     """90 % intervals of four numbers in eight recordings: .7 of 32 is a binomial's chance of one in a thousand.
 

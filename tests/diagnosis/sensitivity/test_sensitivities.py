@@ -69,7 +69,7 @@ def test_every_effect_that_a_regime_knows_is_considered(regime):
 
 @pytest.mark.quick("commanded-*")
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name != "backlash"])  # no column stands for play
-@pytest.mark.parametrize("regime", ["commanded", "passive", "unknown_torque"])
+@pytest.mark.parametrize("regime", ["commanded", "unknown_torque"])
 def test_columns_of_every_effect(regime, name):
     """Finite; none only for those that change nothing but the scatter; prior weights of an effect's grid sum to one."""
     here, path = bound(regime), followed(regime)

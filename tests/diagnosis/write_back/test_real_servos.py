@@ -36,7 +36,7 @@ def played(path, time, angle, target):
     return np.array(found)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_motion_that_was_not_fitted_is_replayed_nearer(data_folder, tmp_path):
     """Played freely for forty seconds: 59 to 87 % of what the angles are off by, when this was written."""
     folder = data_folder / "so101_sage"
