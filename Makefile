@@ -13,7 +13,7 @@ COMPILE := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m compileall -qq -j 0 -
 help:
 	@echo "make demo     simulate an arm, infer its torques, draw them into demo/"
 	@echo "make test     run the tests"
-	@echo "make test-all run the tests, the longer ones too"
+	@echo "make test-all run the longer tests"
 	@echo "make lint     check style, format and types"
 	@echo "make docs     build the documentation site into build/site, and check its links and pages"
 	@echo "make notebooks  execute the notebooks into docs/tutorials"
@@ -31,9 +31,9 @@ demo: $(VENV)/.use
 test: $(VENV)/.development
 	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-# With the longer ones: marked "long", or cases that a mark "quick" does not name. In one run what both use is made once.
+# The longer ones: marked "long", or cases that a mark "quick" does not name. `.ci/run` runs them too.
 test-all: $(VENV)/.development
-	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not slow'
+	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'long and not slow'
 
 lint: $(VENV)/.development
 	$(BIN)/ruff check .
