@@ -1,6 +1,7 @@
 """Every method on a model of one's own: one layout, ArviZ's figures, exact answers; methods side by side."""
 
 import warnings
+from functools import cache
 
 import arviz as az
 import numpy as np
@@ -45,11 +46,18 @@ def linear():
     return chain.model(T), rows, kalman(chain, rows)[0], means, sd
 
 
+@pytest.fixture(scope="module")
+def inferred(linear):
+    """Function of a method -> its posterior; each runs once."""
+    model, rows, *_ = linear
+    return cache(lambda method: infer_states(model, rows, method=method, seed=1, **SIZES, **QUICK.get(method, {})))
+
+
 @pytest.mark.quick("smc", "vsmc", "laplace", "bootstrap", "particle-gibbs")
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path):
-    model, rows, evidence, means, sd = linear
-    idata = infer_states(model, rows, method=method, seed=1, **SIZES, **QUICK.get(method, {}))
+def test_every_method_gives_one_layout_that_arviz_reads(linear, inferred, method, tmp_path):
+    _, rows, evidence, means, sd = linear
+    idata = inferred(method)
 
     states = idata["posterior"]["state"]
     assert states.dims == ("chain", "draw", "time", "state_name")
@@ -79,9 +87,8 @@ def test_every_method_gives_one_layout_that_arviz_reads(linear, method, tmp_path
 
 
 @pytest.mark.long
-def test_nuts_has_its_own_statistics(linear):
-    model, rows, *_ = linear
-    idata = infer_states(model, rows, method="nuts", seed=1, **SIZES, **QUICK["nuts"])
+def test_nuts_has_its_own_statistics(inferred):
+    idata = inferred("nuts")
     statistics = idata["sample_stats"]
     for name in ("energy", "lp", "diverging"):
         assert statistics[name].dims == ("chain", "draw")
@@ -219,11 +226,12 @@ def test_the_old_name_of_a_method_is_known(linear):
 def test_methods_in_one_table(linear):
     model, rows, evidence, means, _ = linear
     found = compare_methods(
-        model, rows, ["smc", "laplace", "nuts"], truth=means, seed=1, replicates=2, arguments={"nuts": QUICK["nuts"]},
+        model, rows, ["smc", "laplace", "particle-gibbs"], truth=means, seed=1, replicates=2,
+        arguments={"particle-gibbs": QUICK["particle-gibbs"]},
         **SIZES,
     )  # fmt: skip
     table = found.table
-    assert list(table.index) == ["smc", "laplace", "nuts"]
+    assert list(table.index) == ["smc", "laplace", "particle-gibbs"]
     assert found.failures == {}
     for name in ("elpd_loo", "elpd_loo_se", "pareto_k", "r_hat", "ess_bulk", "ess_tail", "mcse", "ess_per_second"):
         assert np.isfinite(table[name]).all(), name

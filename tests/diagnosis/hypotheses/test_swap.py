@@ -60,7 +60,7 @@ def test_the_twin_of_a_delay_starts_from_the_path_of_the_other(monkeypatch, name
 @pytest.mark.long
 def test_a_special_case_that_is_behind_is_refined_from_the_wider_effect():
     truth, wide = (EFFECTS[name]("pivot") for name in ("coulomb_friction", "stribeck_friction"))
-    bound = diagnosis_problem(recording_of(truth, torque=0.06, rows=200), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, torque=0.06, rows=140), PENDULUM)
     path, stray = data_path(bound)
     start = {f"{wide.key}.coulomb": 0.06, f"{wide.key}.static": 0.06}
     none, narrow, wider = (
@@ -82,7 +82,7 @@ def test_a_wider_law_is_followed_from_where_it_is_the_narrower_one(monkeypatch):
     """From elsewhere Gauss–Newton has lost its way; where it leaves nothing already, it is not followed."""
     monkeypatch.setattr(SWAP, "regularised", lambda *_, **__: None)
     truth = EFFECTS["stribeck_friction"]("pivot")
-    bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=200), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, coulomb=0.04, static=0.12, velocity=1.0, rows=140), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     narrow = refine(bound, (EFFECTS["coulomb_friction"]("pivot"),), {}, path, LOOSE)
@@ -274,7 +274,7 @@ def test_a_relative_of_a_variant_is_as_soft(monkeypatch):
     """The ideal one would leave what the variant was found for, and never come near."""
     truth, wide = (nonideal(EFFECTS[name]("pivot")) for name in ("coulomb_friction", "stribeck_friction"))
     given = {"torque": 0.1, "settling": 0.02, "creep": 0.002}
-    bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=200, **given), PENDULUM)
+    bound = diagnosis_problem(recording_of(truth, effort=0.3, rows=140, **given), PENDULUM)
     path, stray = data_path(bound)
     none = refine(bound, (), {}, path, LOOSE)
     values = {"coulomb": 0.1, "static": 0.1, "velocity": 1.0, "settling": 0.02, "creep": 0.002}

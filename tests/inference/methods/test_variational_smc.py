@@ -111,7 +111,7 @@ def by_grid():
 @pytest.mark.parametrize("steps", [0, 15])
 def test_parameters_have_their_exact_posterior(by_grid, steps):
     given, free, mean, sd, evidence = by_grid
-    options = SMCOptions(num_filters=160, num_particles=10, num_draws=1)
+    options = SMCOptions(num_filters=80, num_particles=10, num_draws=1)
     store = dict(pyro.get_param_store().items())
     idata = vsmc(given, free=free, options=options, seed=1, steps=steps)
     assert dict(pyro.get_param_store().items()) == store
@@ -119,7 +119,7 @@ def test_parameters_have_their_exact_posterior(by_grid, steps):
     assert scale.dims == ("chain", "draw", "joint")
     phi = np.log(scale.values[..., 0].ravel())
     effective = idata.attrs["outer_ess"]
-    assert effective > 110  # t's heavier tails alone cost a few percent
+    assert effective > 55  # t's heavier tails alone cost a few percent
     found = phi.mean()
     assert found == pytest.approx(mean, abs=4 * sd / np.sqrt(effective))
     assert phi.std() == pytest.approx(sd, rel=4 / np.sqrt(2 * effective) + 0.05)
