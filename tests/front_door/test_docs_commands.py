@@ -114,6 +114,27 @@ def test_the_motion_guides_command_runs(tmp_path, monkeypatch, run):
     assert Path("angles.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        pytest.param("leg_on_the_floor", "contact floor-foot: ", marks=pytest.mark.slow),
+        pytest.param("hand_that_holds", "contact left_pad-ball: ", marks=pytest.mark.long),
+        pytest.param("muscles_of_an_arm", "Activations", marks=pytest.mark.long),
+    ],
+)
+def test_a_guides_command_runs_on_what_its_code_writes(name, said, tmp_path, monkeypatch, run):
+    """On few particles."""
+    page = ROOT / "docs" / "how-to" / f"{name}.md"
+    monkeypatch.chdir(tmp_path)
+    session(page)
+    (line,) = commands(page)
+    outcome = run(*shlex.split(line)[1:], "--filters", "2", "--particles", "20", "--set", "draws=4")
+    assert outcome.exit_code == 0, outcome.stderr
+    assert "dynamics by MuJoCo: " in outcome.output
+    assert said in outcome.output
+    assert all(Path(name).exists() for name in re.findall(r"--out (\S+)", line))
+
+
 @pytest.mark.slow
 @LEFT_OUT
 def test_the_robot_guides_commands_run(tmp_path, monkeypatch, run):

@@ -44,7 +44,7 @@ def test_a_table_says_which_effects_run_on_which_engine(written):
     assert arm == list(CATALOGUE)
     assert sorted(engine) == sorted(each.name for each in ENGINE)
     both = len(set(arm) & set(engine))
-    guide = (Path(__file__).parents[2] / "docs" / "how-to" / "leg_on_the_floor.md").read_text("utf-8")
+    guide = (Path(__file__).parents[2] / "docs" / "how-to" / "wrong_contact.md").read_text("utf-8")
     assert both == 6
     assert "Six of them are effects of arms, too" in guide
     assert f"The other {len(arm) - both} effects" in guide

@@ -128,7 +128,7 @@ def test_what_a_pair_of_the_file_has_is_not_that_of_its_shapes():
 def test_every_effect_is_somewhere():
     seen = {each.name for text, pairs in MODELS.values() for each in every(text, pairs)[1]}
     assert seen == {effect.name for effect in EFFECTS}
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "leg_on_the_floor.md").read_text("utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "wrong_contact.md").read_text("utf-8")
     assert all(f"`{name}`" in page for name in seen)
 
 
