@@ -190,10 +190,10 @@ def _of_study(folder: Path, align: str | None) -> View:
         draws=np.empty(0),
         observed=np.empty(0),
         doubts=doubts,
-        foot=f"Events to align at: {', '.join(events)}.",
+        foot=f"Events to align at: {', '.join(events)}." if len(events) > 1 else "",
     )
     view.notes["torque"] = (
-        f"s after {event}. Dark: the average, 90 %. Pale: a further trial, 90 %. Thin: each trial's median."
+        f"Time in s after {event}. Dark: the average, 90 %. Pale: a further trial, 90 %. Thin: each trial's median."
     )
     for joint in averages["joint"].unique():
         own = averages[averages["joint"] == joint]

@@ -112,7 +112,7 @@
       if (panel.dots) add(panel.dots, { paths: () => null, points: { show: true, size: 4, fill: ink("seen"), stroke: ink("seen") } });
       const element = find(`chart-${panel.id}`);
       const chart = new uPlot({
-        width: element.clientWidth, height: HEIGHT, padding: [8, 12, 0, 0], pxAlign: 0, legend: { show: false }, cursor: { show: false }, series, bands,
+        width: element.clientWidth, height: HEIGHT, padding: [8, 20, 0, 0], pxAlign: 0, legend: { show: false }, cursor: { show: false }, series, bands,
         scales: { x: { time: false }, y: { range: panel.range } },
         axes: [
           { ...axis, size: 30, space: 72, values: (_, ticks) => ticks.map((tick) => `${String(Number(tick.toFixed(6))).replace("-", "−")} s`) },
@@ -233,10 +233,11 @@
     }
   });
 
-  new ResizeObserver(() => {
+  const resized = new ResizeObserver(() => {
     charts.forEach((chart, n) => chart.setSize({ width: find(`chart-${panels[n].id}`).clientWidth, height: HEIGHT }));
     drawBody(); mark();
-  }).observe(document.querySelector("main"));
+  });
+  document.querySelectorAll("main, #picture").forEach((each) => resized.observe(each));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawCharts(); drawBody(); });
   drawCharts();
   show(nearest(0));

@@ -60,6 +60,23 @@ def test_the_numbers_at_a_time_are_the_posteriors(browser, make_posterior, tmp_p
     assert browser.get_log("browser") == []
 
 
+def test_the_body_is_drawn_again_where_only_the_windows_height_changes(browser, make_posterior, tmp_path):
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    opened(browser, page_of(make_posterior(2), tmp_path), 1280)
+    sizes = "const c = document.getElementById('picture'); return [c.width, c.height, c.clientWidth, c.clientHeight]"
+    before = browser.execute_script(sizes)
+    lower = {"width": 1280, "height": 600, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", lower)
+    WebDriverWait(browser, 10).until(lambda _: browser.execute_script(sizes)[3] != before[3])
+
+    def sharp(_):
+        *drawn, wide, high = browser.execute_script(sizes)
+        return drawn == [wide, high]
+
+    WebDriverWait(browser, 10).until(sharp)
+
+
 def test_all_move_together(browser, make_posterior, tmp_path):
     """Keys, a drag in a curve and the time that passes: each moves the body, the curves' marks and the table."""
     from selenium.webdriver import ActionChains, Keys
