@@ -258,8 +258,8 @@ print("formula:", strange.outside.description)
 print(f"which predicts each held-out frame better by {strange.outside.gain_per_frame:.2f} nats")
 
 # %% [markdown]
-# Whatever effect is tried, a torque is left, so the probability lies outside the catalogue. All 37 effects, which take a
-# minute, say the same. Then the residual torque is regressed on a library of functions of $(\theta, \dot\theta, u, t)$.
+# Whatever effect is tried, a torque is left, so the probability lies outside the catalogue. All 37 take a minute
+# and say the same. Then the residual torque is regressed on a library of functions of $(\theta, \dot\theta, u, t)$.
 # The result is a formula of at most three terms. It is a hint and no proof. Many sets of terms fit about as well, and
 # the standard deviations do not count that choice. Here the first term is that of the truth. Compare its coefficient
 # with $-b$.
