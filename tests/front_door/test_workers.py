@@ -97,7 +97,7 @@ def test_mpi_gives_the_same(simulated, run):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("torque_process", ["ornstein_uhlenbeck", "auto"])
+@pytest.mark.parametrize("torque_process", [pytest.param("ornstein_uhlenbeck", marks=pytest.mark.slow), "auto"])
 def test_killed_and_resumed_is_the_same(simulated, run, started, torque_process):
     """Tasks are filters of one torque process, or parameter sets of several."""
     pytest.importorskip("safetensors")
@@ -133,12 +133,12 @@ KILLED = (
     "def dies(self, *tensors, **state):\n"
     "    save(self, *tensors, **state)\n"
     "    saved.append(self.place)\n"
-    "    if len(saved) == 4:\n"
+    "    if len(saved) == 10:\n"
     "        os.kill(os.getpid(), signal.SIGKILL)\n"
     "Checkpoint.save = dies\n"
     "app(prog_name='invdyn')\n",
 )
-"""The program, killed as soon as the fourth thing is kept."""
+"""The program, killed as soon as the tenth thing is kept."""
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ KILLED = (
     ],
 )
 def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, command):
-    """Killed again and again, each time a few units further on, until the same call reaches its end."""
+    """Killed again and again, each time some units further on, until the same call reaches its end."""
     pytest.importorskip("safetensors")
     from invdyn.models.effects import EFFECTS
 
@@ -178,7 +178,11 @@ def test_compare_and_diagnose_are_killed_and_resumed(folder, run, started, comma
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda stop: stop.name)
+@pytest.mark.parametrize(
+    "stop",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL],
+    ids=lambda stop: stop.name,
+)
 def test_no_worker_is_left_behind(simulated, started, stop):
     call = (*INFER, "--filters", 400, "--particles", 300, "--workers", 2, "--checkpoint", "kept", "--out", "p.nc")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

@@ -52,7 +52,7 @@ def test_the_old_name_of_a_method_is_known():
 @pytest.mark.long
 def test_a_closed_loop_says_which_torque_is_not_told():
     """One crank moves a four-bar: with one drive its torque is known, with two only their effect on the loop."""
-    recording, torque = play(FOUR_BAR, 40, crank)
+    recording, torque = play(FOUR_BAR, 28, crank)
     scene = Scene.of(FOUR_BAR, dimensions=2)
     assert reasons(scene) == ["1 equality constraint"]
     one = infer_engine(recording, scene, drive=JointTorques(("crank",)), seed=0, **SMALL)
@@ -133,7 +133,7 @@ def test_muscles_agree_with_brute_force():
     assert float((width / sd - 1).abs().max()) < 0.12
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_ranks_of_muscles_are_even():
     """Simulation-based calibration (Talts et al. 2018) of a one-joint, two-muscle arm, on few simulations."""
     model, ranks = muscled(12), []
