@@ -115,13 +115,13 @@ body = planar_body("forearm and hand", [forearm, hand], gravity=(0.0, 0.0))
 #
 # ## A recording with known truth
 #
-# Two seconds at 60 frames a second, of a tremor of 5.5 Hz, filmed from above with 1 mm of noise.
+# A second and a half at 60 frames a second, of a tremor of 5.5 Hz, filmed from above with 1 mm of noise.
 
 # %%
 TRUE = {"torque.frequency": 5.5, "torque.decay": 1.0, "torque.scale": [0.25, 0.05]}
 NOISE = {"emission.keypoint_scale": 0.001, "noise.angle": 1e-4, "noise.velocity": 1e-3}
 START = {"initial.angle": [0.3, 0.2], "initial.angle_scale": 0.1, "initial.velocity_scale": 0.1}
-time = np.arange(120) / 60
+time = np.arange(90) / 60
 world = ArmModel(body, time, Observation(Keypoints(range(2))), torque=Tremor(), parameters=TRUE | NOISE | START)
 recording, truth = record(world, seed=1)
 
@@ -163,7 +163,7 @@ print(f"frequency {frequency:.2f} ± {frequency * sd:.2f} Hz (truth 5.5)")
 # about tremors.
 
 # %%
-FRAMES = 16
+FRAMES = 12
 short = recording.select(0, FRAMES)
 small = arm_problem(short, body, torque=Tremor(), substeps=1)
 fitted = {name: value for name, value in found.model.parameters.items() if not name.startswith("initial.")}

@@ -90,7 +90,7 @@ def test_killed_after_everything_that_it_keeps(tmp_path, killed_at_next_save):
         assert all(variable.variable._in_memory for group in idata.groups() for variable in idata[group].values())
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_of_an_uncertain_body(tmp_path, killed_at_next_save):
     body = dataclasses.replace(ARM, uncertainty={"mass": 0.1})
     expected = bits(comparison(body=body))

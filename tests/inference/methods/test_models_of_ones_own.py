@@ -109,7 +109,15 @@ def nuts_of_last_state(model, y):
 
 
 @pytest.mark.quick("Counts")
-@pytest.mark.parametrize("kind", [Counts, HeavyTailed, Multiplicative, Switches, Volatility])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        Counts,
+        HeavyTailed,
+        Multiplicative,
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in (Switches, Volatility)),
+    ],
+)
 def test_nuts_samples_any_model_with_a_gradient(kind):
     """Dynamics that are not Gaussian, too, or whose noise depends on the state; the last state is that of a grid."""
     model = kind(4)

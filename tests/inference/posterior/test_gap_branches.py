@@ -42,7 +42,7 @@ def slips(model, path, truth):
 
 
 @pytest.mark.quick("8")
-@pytest.mark.parametrize("seed", [4, 6, 8])
+@pytest.mark.parametrize("seed", [6, 8])
 def test_the_most_probable_way_over_a_gap_is_the_true_one(seed):
     """One path through the gap is a turn off, 6 nats and more behind; another start finds the right one."""
     arm, recording, truth = recorded(seed)
