@@ -187,10 +187,12 @@ def print_line(kind: str, message: object) -> None:
 def say(text: str) -> None:
     """Print a command's words; where that fails the command continues, and its end says so.
 
-    A full disk under stdout, or a reader that has left, takes nothing from what is written elsewhere.
+    A full disk under stdout, or a reader that has left, takes nothing from what is written elsewhere. A line that was
+    a warning of the same command is not repeated.
     """
+    lines = [line for line in text.split("\n") if line not in _run.warned]
     try:
-        typer.echo(text)
+        typer.echo("\n".join(lines))
     except OSError as error:
         _run.unprinted = _run.unprinted or error
         _print_no_more()

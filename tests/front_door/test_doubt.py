@@ -1,9 +1,14 @@
 """An evidence that is not usable is said to be so in the line, the figure's title and the table."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
+import typer
+from typer.testing import CliRunner
 
+from invdyn.console import Commands, say
 from invdyn.inference import Comparison
 from invdyn.inference.comparison import COLUMNS
 from invdyn.plots import heading
@@ -59,3 +64,19 @@ def test_few_bodies_that_count_are_said_where_there_are_no_filters(make_posterio
     first = summary_text(idata).splitlines()[0]
     assert first.startswith("warning: 28 % of the parameter sets drawn carry the weight")
     assert "smaller doubts" in first
+
+
+@pytest.mark.filterwarnings("default:row 3 is off")
+def test_what_a_command_warned_of_is_not_in_its_summary_again():
+    app = typer.Typer(cls=Commands)
+
+    app.callback()(lambda: None)
+
+    @app.command()
+    def tried():
+        warnings.warn("row 3 is off", stacklevel=2)
+        say("row 3 is off\nanother doubt\n\nJoint torques")
+
+    outcome = CliRunner().invoke(app, ["tried"])
+    assert outcome.stderr == "warning: row 3 is off\n"
+    assert outcome.stdout == "another doubt\n\nJoint torques\n"
