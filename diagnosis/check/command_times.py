@@ -6,7 +6,8 @@
 
 Angles stay as they are, and delays are compared in rows that have commands under all of them, so that each is one
 solution of the equations that :mod:`.torque_fit` keeps. Rows whose command is not in the log are then left out.
-A delay that a motor may have is an effect, and left to the diagnosis.
+A delay that a motor may have is an effect, and left to the diagnosis. Log and remedy are compared in the same rows,
+by what they would miss in others: long windows leave few values, which a drift and friction fit whatever they are.
 
 Shapes: T rows, R rows of a motion, K joints.
 """
@@ -23,6 +24,9 @@ from invdyn.diagnosis.check.mistakes import Found, Mistake
 from invdyn.diagnosis.check.torque_fit import TorqueFit, share
 from invdyn.diagnosis.check.torque_regression import Motion
 from invdyn.diagnosis.rules import FIXED, Rules
+
+NUMBERS = {"delay": 1, "drift": 2, "rare": 0}
+"""That are fitted."""
 
 
 def late_commands(
@@ -78,13 +82,16 @@ def late_commands(
         found.append((Mistake("rare", (), words, "log them at the rate of the controller", float(rare[0])), rare[1]))
     worth: list[Found] = []
     for mistake, given in found:
-        group, motions = mistake.joints, [(each, each.recommanded(given)) for each in every]
+        numbers = NUMBERS[mistake.kind]
+        group, logged = mistake.joints, np.where(np.isnan(given), np.nan, commands)
+        motions = [(each.recommanded(logged), each.recommanded(given)) for each in every]  # in the same rows
         righted, wrong, right = min(
-            ((fit.explain(new), old, new) for old, new in motions), key=lambda each: each[0].misfit
+            ((fit.explain(new), old, new) for old, new in motions),
+            key=lambda each: each[0].missed_elsewhere(group, numbers),
         )
-        if righted.misfit > min(limits.max_remaining * own.misfit, limits.max_right_misfit):
+        if righted.misfit > min(limits.max_remaining * fit.explain(wrong).misfit, limits.max_right_misfit):
             continue
-        if (after := righted.missed(group)) > limits.max_joint_misfit:
+        if (after := righted.missed_elsewhere(group, numbers)) > limits.max_joint_misfit:
             continue
         before = share(fit.left_by_values(wrong, righted.values), righted.required, group)
         worth.append(Found(replace(mistake, right=partial(lambda right, motion: right, right)), before, after))

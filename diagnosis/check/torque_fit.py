@@ -36,6 +36,7 @@ class Explained:
     """What a motion explains: `misfit` of all joints, of each (K,), and coefficients (P,) in the regressors' order.
 
     `left` (K,) N·m is the rms of what is not explained, `required` (K,) N·m of what is; `penalty` is λ Σ (β/sd)².
+    `independent` values of the motion determine them, by ``factor.T @ factor`` (P, P) with a ``ridge`` λ.
     """
 
     misfit: float
@@ -44,6 +45,9 @@ class Explained:
     left: np.ndarray
     required: np.ndarray
     penalty: float
+    independent: float
+    factor: np.ndarray
+    ridge: float
 
     def missed(self, joints: Sequence[int]) -> float:
         """The misfit of these joints, all if none, in terms of what is required of them.
@@ -51,6 +55,15 @@ class Explained:
         No remedy that makes torques small, or another joint's large, makes that better.
         """
         return float(np.hypot(share(self.left, self.required, joints), np.sqrt(self.penalty)))
+
+    def missed_elsewhere(self, joints: Sequence[int], more: int) -> float:
+        """The same in rows that are not fitted, by generalised cross-validation (Craven & Wahba 1979).
+
+        ``more`` numbers than the coefficients are fitted. One that its prior determines counts less than 1.
+        """
+        bound = scipy.linalg.solve_triangular(self.factor, np.eye(len(self.factor)), check_finite=False)
+        numbers = more + len(bound) - self.ridge * float((bound**2).sum())
+        return self.missed(joints) / max(1 - numbers / self.independent, FIXED.negligible)
 
 
 def share(left: np.ndarray, required: np.ndarray, joints: Sequence[int]) -> float:
@@ -156,7 +169,9 @@ class TorqueFit:
         penalty = rules.ridge * float((scaled**2).sum())
         required = np.sqrt(((motion.torque - off) ** 2).mean(0))
         by_joint = np.sqrt(missed)
-        return Explained(float(np.sqrt(missed.mean() + penalty)), by_joint, values, by_joint * unit, required, penalty)
+        misfit = float(np.sqrt(missed.mean() + penalty))
+        independent = K * motion.independent
+        return Explained(misfit, by_joint, values, by_joint * unit, required, penalty, independent, r, rules.ridge)
 
 
 def _bounded(r: np.ndarray, target: np.ndarray, links: int, free: int) -> np.ndarray:

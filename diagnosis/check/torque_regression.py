@@ -28,7 +28,8 @@ from invdyn.recordings.logs.mapping import JointMap
 class Motion:
     """A motion (R, K) with what a robot was given along it.
 
-    `smooth` makes of a log's commands (T, K) what its rows have, (R, K).
+    `smooth` makes of a log's commands (T, K) what its rows have, (R, K). Each row is of a local cubic over so many rows
+    as its `span`.
     """
 
     q: np.ndarray
@@ -37,6 +38,12 @@ class Motion:
     terms: RobotTerms
     smooth: Callable[[np.ndarray], np.ndarray] | None = None
     rules: Rules = DEFAULT
+    span: float = 1.0
+
+    @property
+    def independent(self) -> float:
+        """How many independent values its rows have: white noise leaves 9/4W of its variance in cubics over W rows."""
+        return len(self.q) * min(1.0, 2.25 / self.span)
 
     @cached_property
     def torque(self) -> np.ndarray:
@@ -92,7 +99,8 @@ class Motion:
 
     def thinned(self, rows: int) -> "Motion":
         """The motion in at most so many ``rows``, evenly."""
-        return self.at(slice(None, None, -(-len(self.q) // rows)))
+        stride = -(-len(self.q) // rows)
+        return replace(self.at(slice(None, None, stride)), span=self.span / stride)
 
     def at(self, every: slice | np.ndarray) -> "Motion":
         """The motion in some of its rows."""
@@ -161,7 +169,7 @@ def smoothed(
         return _local_cubic(hold_mean(time, given, even), window, 0, step, stride)
 
     q, qd, qdd = (_local_cubic(rows, window, n, step, stride) for n in range(3))
-    return Motion(q, qd, qdd, RobotTerms.of(body, smooth(torque), maps), smooth, rules)
+    return Motion(q, qd, qdd, RobotTerms.of(body, smooth(torque), maps), smooth, rules, window / stride)
 
 
 def _local_cubic(rows: np.ndarray, window: int, order: int, step: float, stride: int) -> np.ndarray:

@@ -3,10 +3,14 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from invdyn.diagnosis.check.check import check
 from invdyn.diagnosis.check.command_times import shifted
 from invdyn.diagnosis.check.torque_regression import smoothed
+from invdyn.models import Link, planar_body
 from invdyn.models.bodies.joint_parts import NOTHING
+from invdyn.recordings import Recording
 
 TIME, NONE = np.arange(5.0), np.nan
 COMMANDS = np.stack([10 + TIME, 20 + TIME], -1)
@@ -44,3 +48,33 @@ def test_seconds_since_1970_shift_the_same_rows():
     time, commands = 0.02 * np.arange(40), np.random.default_rng(0).normal(size=(40, 2))
     for delay in (0.06, -0.14):
         np.testing.assert_array_equal(shifted(1.7e9 + time, commands, delay), shifted(time, commands, delay))
+
+
+def of_a_pendulum(seed, drift=0.0, ripple=0.0):
+    """The log of a bar that a motor moves in two slow sines, and the bar."""
+    rng, time = np.random.default_rng(seed), np.arange(500) / 60
+    rate, phase = 2 * np.pi * rng.uniform(0.1, 0.3, 2), rng.uniform(0, 6.28, 2)
+    begin = rng.uniform(0, 6.28)
+
+    def angle(t):
+        return 0.45 * np.sin(np.outer(t, rate) + phase).sum(1) - 1.2
+
+    sent = (1 + drift) * time
+    acceleration = -0.45 * (rate**2 * np.sin(np.outer(sent, rate) + phase)).sum(1)
+    torque = acceleration / 12 + 9.81 / 4 * np.cos(angle(sent)) + ripple * np.sin(4 * angle(sent) + begin)
+    seen = angle(time) + 3e-4 * rng.standard_normal(len(time))
+    body = planar_body("pendulum", [Link("bar", "pivot", "tip", length=0.5, mass=1.0)])
+    own = {"angles": seen[:, None], "torques": torque[:, None], "joint_names": ("pivot",)}
+    return Recording(time, np.empty((len(time), 0, 2)), (), **own), body
+
+
+@pytest.mark.parametrize("seed", [22, 36])  # slow motions of few independent values, which a late command may fit
+def test_a_ripple_is_no_clock(seed):
+    found = check(*of_a_pendulum(seed, ripple=0.9), effects=False)
+    assert not {each.kind for each in found.mistakes} & {"drift", "delay"}
+
+
+def test_a_clock_that_drifts_is_found_in_few_values():
+    (found,) = check(*of_a_pendulum(1, drift=0.04), effects=False).mistakes
+    assert found.kind == "drift"
+    assert found.value == pytest.approx(1 - 1 / 1.04, abs=0.01)
