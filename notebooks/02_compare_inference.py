@@ -78,7 +78,7 @@ body = Body.from_toml(BODIES / "paper_planar_arm.toml")
 recording, truth = record(paper_arm(body), seed=4)
 recording, truth = recording.select(0, ROWS), truth.at(recording.time[:ROWS])
 methods = ["smc", "bootstrap", "vsmc", "laplace", "svi-markov", "svi", "differentiate"]
-comparison = compare(recording, body, methods, truth=truth, seed=0, num_draws=8, **PAPER)
+comparison = compare(recording, body, methods, truth=truth, seed=0, num_draws=8, held_out=0, **PAPER)
 print(comparison_text(comparison))
 
 # %% [markdown]
@@ -95,8 +95,9 @@ print(comparison_text(comparison))
 #   $\mathrm{KL}(q \,\|\, p(x \mid y))$: how far their answer $q$ is from the posterior.
 # * **outer ESS** says how many of 64 filters agree. Near 64 is healthy. Near 1 means that one lucky filter speaks
 #   for all. Then neither its evidence nor its error bar means much.
-# * **log score** says how well a method predicts each of the last rows from those before it. It needs no truth, so
-#   you have it for real recordings, too. But it does not see everything: compare mean field's with that of `smc`.
+# * **elpd** says how well a method predicts each row from all others. It needs no truth, so you have it for real
+#   recordings, too. But it does not see everything: compare mean field's with that of `smc`. Do not trust it
+#   where Pareto k is above 0.7.
 
 # %%
 display(plot_comparison({name: comparison.posteriors[name] for name in ("smc", "laplace", "svi-markov", "svi")}))
@@ -195,7 +196,7 @@ except InputError as error:
     film = None
     print(f"The recording cannot be had here, so what follows is skipped: {error}")
 if film is not None:
-    human = compare(film, arm, ["smc", "laplace", "differentiate"], seed=0, learn_lengths=True)
+    human = compare(film, arm, ["smc", "laplace", "differentiate"], seed=0, held_out=0, learn_lengths=True)
     print(comparison_text(human))
     display(plot_comparison(human.posteriors))
 

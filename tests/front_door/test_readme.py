@@ -3,11 +3,14 @@
 import re
 import shlex
 import tomllib
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 from pages import ROOT, blocks, commands
+
+from invdyn.inference import METHODS
 
 README = ROOT / "README.md"
 MAX_WORDS = 900
@@ -35,7 +38,9 @@ def folder(tmp_path_factory):
 
 @pytest.mark.long
 def test_every_command_and_snippet_runs(folder, monkeypatch, run, capsys):
+    """As they stand; variational guides take fewer steps."""
     monkeypatch.chdir(folder)
+    monkeypatch.setitem(METHODS, "svi", partial(METHODS["svi"], max_steps=300))
     for line in commands(README):
         found = run(*shlex.split(line)[1:])
         assert found.exit_code == 0, f"{line}: {found.stderr}"
