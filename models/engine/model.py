@@ -16,6 +16,7 @@ Shapes: states (..., D), D = Z + 2 nv + na; rows (..., O). MuJoCo computes in fl
 import copy
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from hashlib import blake2b
@@ -246,10 +247,11 @@ class EngineModel(StateSpaceModel):
         flat = self._flat(state)
         rows = np.broadcast_to(np.asarray(t), state.shape[:-1]).reshape(-1).copy()
         faded = self._faded(flat, rows)
-        key = blake2b(b"".join(each.tobytes() for each in (flat, rows, faded)), digest_size=20).digest()
-        out = self._memo.get(key)
+        known = np.concatenate([flat, rows[:, None], faded], -1)
+        keys = known.view(f"V{known.itemsize * known.shape[-1]}").ravel().tolist()
+        out = self._memo.get(keys)
         if out is None:
-            out = self._memo.add(key, self._moved(flat, rows, faded))
+            out = self._memo.add(keys, self._moved(flat, rows, faded))
         return torch.from_numpy(out.copy()).reshape(state.shape).to(state)
 
     def _moved(self, flat: np.ndarray, rows: np.ndarray, faded: np.ndarray) -> np.ndarray:
@@ -369,23 +371,35 @@ class EngineModel(StateSpaceModel):
 
 
 class Memo:
-    """The last results of MuJoCo, by what they depend on: a smoothed filter asks for each row's means twice."""
+    """The last results of MuJoCo, by what each state's depends on.
+
+    A smoothed filter asks for each row's means twice, and one that looks ahead for those of the states that go on, too.
+    """
 
     def __init__(self) -> None:
         self._kept: OrderedDict[bytes, np.ndarray] = OrderedDict()
         self._size = 0
+        self._last: tuple[dict[bytes, int], np.ndarray] = {}, np.empty((0, 0))
 
-    def get(self, key: bytes) -> np.ndarray | None:
-        """What was kept, or None."""
-        return self._kept.get(key)
+    def get(self, keys: list[bytes]) -> np.ndarray | None:
+        """What was kept of these states, or None; of some of those that were added last, in any order, too."""
+        places, value = self._last
+        with suppress(KeyError):
+            return value[[places[key] for key in keys]]
+        return self._kept.get(_digest(keys))
 
-    def add(self, key: bytes, value: np.ndarray) -> np.ndarray:
-        """Keep a value, in place of the oldest ones where there is no room; return it."""
-        self._kept[key] = value
+    def add(self, keys: list[bytes], value: np.ndarray) -> np.ndarray:
+        """Keep values (B, …) of states, in place of the oldest ones where there is no room; return them."""
+        self._kept[_digest(keys)] = value
+        self._last = dict(zip(keys, range(len(keys)), strict=True)), value
         self._size += value.nbytes
         while self._size > MEMO_BYTES:
             self._size -= self._kept.popitem(last=False)[1].nbytes
         return value
+
+
+def _digest(keys: list[bytes]) -> bytes:
+    return blake2b(b"".join(keys), digest_size=20).digest()
 
 
 def _unknown(*_: object) -> NoReturn:

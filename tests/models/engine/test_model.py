@@ -62,6 +62,18 @@ def test_the_leg_moves_as_mujoco_moves_it():
     assert model.nonsmooth
 
 
+def test_states_that_go_on_are_not_simulated_again(monkeypatch):
+    """Filters resample between asking for a row's means and drawing from them."""
+    model = EngineModel(legs.leg_file("hop"), np.arange(5) * 0.01, drive=JointTorques(("hip", "knee")))
+    states = torch.randn(4, model.state_dim, dtype=F64, generator=torch.Generator().manual_seed(0))
+    means = model.moved(states, 2)
+    monkeypatch.setattr(model.simulator, "run", None)  # so that a call of it raises
+    np.testing.assert_array_equal(model.moved(states[[3, 0, 3]], 2), means[[3, 0, 3]])
+    for other, row in ((states, 1), (states + 1e-9, 2)):
+        with pytest.raises(TypeError):
+            model.moved(other, row)
+
+
 def test_joints_bear_what_sensors_in_them_measure():
     """MuJoCo's sensors see forces in their site's frame, which is the shank's, at the knee's anchor."""
     sensed = "<sensor><force site='knee'/><torque site='knee'/></sensor></mujoco>"
