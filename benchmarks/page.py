@@ -42,7 +42,7 @@ COMMANDS = {
     "what_is_off_scales": "what_is_off.py --scales",
     "reaches": "reaches.py --first 5000 --reaches 55 --smc 0 --results build/reaches.jsonl",
     "study_size": "study.py size",
-    "study_coverage": "study.py coverage --studies 31 --results build/study.jsonl",
+    "study_coverage": "study.py coverage --studies 21 --results build/study.jsonl",
     "study_pooling": "study.py pooling",
     "study_kill": "study.py kill",
     "real_studies": "real_studies.py",
