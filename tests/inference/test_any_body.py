@@ -275,7 +275,7 @@ def test_the_bead_is_a_linear_gaussian_chain():
     assert found.attrs["log_evidence"] == pytest.approx(exact, abs=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_sensor_of_its_own_on_a_forked_tree():
     """Two sites of one link and one of another are heard by a beacon, and a camera sees one of them."""
     ranges = Ranges((3.0, -0.5), ("left_middle", "left_tip", "right_tip"))

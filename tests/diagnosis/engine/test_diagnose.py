@@ -105,7 +105,7 @@ def test_no_alarm_where_nothing_was_changed(name, tmp_path):
     assert not copy.exists()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_numbers_at_once_and_what_the_catalogue_lacks():
     """A stiffer tendon and smoother pads together, in two logs; and a push that no effect is, among few effects."""
     few = {"tendon_stiffness", "contact_friction", "actuator_gain"}

@@ -133,7 +133,7 @@ def test_a_link_that_bends_is_refined_from_the_soft_tissue_that_it_looks_like(mo
         assert truth.key not in found.pool
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_load_friction_is_found_from_the_friction_that_stands_in_for_it():
     """From that one's level: where joints stick, the slope near none of it says little."""
     stand_in, friction = (EFFECTS[name]("pivot").bound(PENDULUM) for name in ("coulomb_friction", "load_friction"))

@@ -161,7 +161,7 @@ def test_gain_friction_and_its_softness_are_found(fit):
     assert soft.after > 0.95  # what creeps less than that is under the floor of an error
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_windows_that_no_number_explains_count_little_and_widen_the_ensemble(arm):
     """Half of the windows slew: the others still say what the servo is, and the band holds what is left."""
     path, body = arm

@@ -57,7 +57,7 @@ def test_the_most_probable_way_over_a_gap_is_the_true_one(seed):
     assert gauss_newton(model, rows, start=path).log_evidence > first.log_evidence
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_fit_begins_and_ends_with_the_most_probable_way():
     arm, recording, truth = recorded(27)
     task = prepare(recording, arm, options=SMCOptions(), seed=0)
