@@ -188,11 +188,11 @@ def say(text: str) -> None:
     """Print a command's words; where that fails the command continues, and its end says so.
 
     A full disk under stdout, or a reader that has left, takes nothing from what is written elsewhere. A line that was
-    a warning of the same command is not repeated.
+    a warning of the same command is not repeated on its terminal; a file or pipe has it.
     """
-    lines = [line for line in text.split("\n") if line not in _run.warned]
+    seen = _run.warned if sys.stdout.isatty() and sys.stderr.isatty() else ()
     try:
-        typer.echo("\n".join(lines))
+        typer.echo("\n".join(line for line in text.split("\n") if line not in seen))
     except OSError as error:
         _run.unprinted = _run.unprinted or error
         _print_no_more()

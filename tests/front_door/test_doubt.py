@@ -1,5 +1,6 @@
 """An evidence that is not usable is said to be so in the line, the figure's title and the table."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -67,16 +68,18 @@ def test_few_bodies_that_count_are_said_where_there_are_no_filters(make_posterio
 
 
 @pytest.mark.filterwarnings("default:row 3 is off")
-def test_what_a_command_warned_of_is_not_in_its_summary_again():
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_summary_repeats_a_warning_only_where_that_may_not_be_seen(terminal):
     app = typer.Typer(cls=Commands)
 
     app.callback()(lambda: None)
 
     @app.command()
     def tried():
+        sys.stdout.isatty = sys.stderr.isatty = lambda: terminal
         warnings.warn("row 3 is off", stacklevel=2)
         say("row 3 is off\nanother doubt\n\nJoint torques")
 
     outcome = CliRunner().invoke(app, ["tried"])
     assert outcome.stderr == "warning: row 3 is off\n"
-    assert outcome.stdout == "another doubt\n\nJoint torques\n"
+    assert outcome.stdout == "row 3 is off\n" * (not terminal) + "another doubt\n\nJoint torques\n"
