@@ -217,6 +217,7 @@ def test_no_trial_is_written_over_another(tmp_path):
 
 def test_of_two_studies_in_one_folder_the_later_one_is_shown(tmp_path):
     study = of_parts([made(i) for i in range(5)])
+    study = replace(study, trials=tuple(replace(trial, events={"touch": 0.5, "lift": 0.7}) for trial in study.trials))
     other = replace(study, trials=tuple(replace(trial, subject="other") for trial in study.trials))
     of_parts([made(i) for i in range(4)], "grasp").save(tmp_path / "out")
     other.save(tmp_path / "out")
@@ -225,7 +226,7 @@ def test_of_two_studies_in_one_folder_the_later_one_is_shown(tmp_path):
     assert (tmp_path / "out" / "posteriors" / "other_1.nc").exists()
     view = view_of(tmp_path / "out")
     assert [len(panel["trials"]) for panel in view.panels] == [5, 5]
-    assert view.foot == "Events to align at: touch."
+    assert view.foot == "Events to align at: lift, touch."
 
 
 def test_an_event_at_every_trial_s_end_or_begin_has_one_time(tmp_path):
