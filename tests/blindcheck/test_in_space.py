@@ -167,6 +167,7 @@ def test_planned_cases_are_of_the_catalogue_in_space():
     assert {effect for *_, kind, effect in plan if kind == "commanded"} == set(INJECTED)
 
 
+@pytest.mark.long
 def test_a_run_is_sealed_equally_in_another_process(tmp_path):
     """And its answers open to what was sealed."""
     run, alone = (
@@ -181,6 +182,7 @@ def test_a_run_is_sealed_equally_in_another_process(tmp_path):
     assert sorted(read_opened(tmp_path / "run" / "answers.json", sealed)) == ["case-0000"]
 
 
+@pytest.mark.long
 def test_a_friction_is_diagnosed_and_judged(tmp_path, monkeypatch):
     """Of an arm of three hinges, among two effects: from the seed to the verdict."""
     few = {"viscous_friction", "coulomb_friction"}

@@ -83,6 +83,7 @@ def test_a_process_that_dies_is_replaced(tmp_path, monkeypatch):
             os.kill(pid, 0)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_who_asks_may_be_killed_in_the_middle_of_a_case(folders):
     """The process that diagnoses ends, too: here it waits for ever for a file that is never written."""

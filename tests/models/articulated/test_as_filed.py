@@ -200,7 +200,7 @@ def test_where_a_servo_takes_the_arm_is_what_its_rows_say(dtype):
     np.testing.assert_allclose(back, q[1] - 0.002 * qd[1], atol=2e-3)  # ½ τ² θ̈ of 700 rad/s²
 
 
-@pytest.mark.quick("RK4*", "implicitfast*")
+@pytest.mark.quick("implicitfast*")
 @pytest.mark.parametrize(
     ("integrator", "flag", "late"),
     [
