@@ -58,7 +58,7 @@ def test_what_the_missing_torque_follows_is_said_of_a_named_cause():
     assert found.where.depends_on == ()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_arm_at_thirty_frames_a_second_lacks_nothing():
     """Steps of one row would be wrong by what the camera notices, and some effect would be blamed."""
     arm = random_arm(ARM, duration=4.0, fps=30, noise=0.002, torque_scale=0.4, commanded=True, seed=2)

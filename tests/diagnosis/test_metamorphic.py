@@ -124,7 +124,7 @@ def test_an_arm_twice_as_long_under_twice_the_gravity_has_four_times_the_torques
     assert_same(said(replace(log, keypoints=2 * log.keypoints, torques=4 * log.torques), large), plainly(), factor=4.0)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_mirror_image_has_the_same_friction():
     log = with_encoders(rubbing())
     mirrored = replace(

@@ -75,7 +75,7 @@ def bits(found):
     return table, numbers, attributes, found.failures, found.notes, found.held_out
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_killed_after_everything_that_it_keeps(tmp_path, killed_at_next_save):
     expected, calls = bits(comparison()), 0
     while (found := killed_at_next_save(lambda: comparison(tmp_path))) is None:

@@ -135,7 +135,7 @@ def test_torchs_threads_change_nothing():
     assert found[0] == found[1]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_draws_of_an_uncertain_body(pool):
     sizes = {**SIZES, "num_filters": 3}
     alone = infer(SWING, UNCERTAIN, seed=4, **sizes)

@@ -123,7 +123,7 @@ def cluster(tmp_path):
             process.wait()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_model_of_a_script_gives_the_serial_bits_everywhere(cluster, tmp_path):
     """By two processes, and by a Dask cluster of two; the script has no guard, and ends."""
     (tmp_path / "script.py").write_text(OWN_MODEL)

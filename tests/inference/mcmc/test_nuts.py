@@ -44,7 +44,7 @@ def test_mixing_tells_good_chains_from_bad():
     assert mixing(slow)["ess_bulk"] < 50
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_nuts_takes_the_plain_sequence_as_it_is():
     """Unchanged: NUTS on model.sequence, whose moments are the Kalman smoother's."""
     chain = random_chain(4, dim=2, size=2)
