@@ -82,8 +82,7 @@ model = Counts()
 states, rows = model.simulate(seed=1)
 rows[40:50] = torch.nan
 
-SIZES = {"num_filters": 32, "num_draws": 8}
-posterior = infer_states(model, rows, seed=0, **SIZES)
+posterior = infer_states(model, rows, seed=0)
 rate = np.exp(posterior.posterior["state"].sel(state_name="log rate"))
 low, middle, high = rate.quantile([0.05, 0.5, 0.95], ("chain", "draw"))
 
@@ -108,7 +107,7 @@ print(az.summary(posterior, var_names=["state"], coords={"time": range(0, 80, 10
 # All see the same model. The particle filters estimate the evidence without bias; `laplace` approximates it.
 
 # %%
-comparison = compare_methods(model, rows, ["smc", "bootstrap", "laplace"], truth=states, seed=0, replicates=2, **SIZES)
+comparison = compare_methods(model, rows, ["smc", "bootstrap", "laplace"], truth=states, seed=0, replicates=3)
 columns = ["log_evidence", "log_evidence_sd", "replicates_sd", "log rate_crps", "log rate_coverage_90", "outer_ess"]
 print(comparison.table[columns].round(2).to_string())
 
@@ -119,7 +118,7 @@ print(comparison.table[columns].round(2).to_string())
 # well each model predicts it.
 
 # %%
-walk = infer_states(Counts(decay=1.0), rows, seed=0, **SIZES)
+walk = infer_states(Counts(decay=1.0), rows, seed=0)
 print(az.compare({"autoregression": posterior, "random walk": walk}, ic="loo", var_name="y").round(2).to_string())
 
 # %% [markdown]
@@ -139,7 +138,7 @@ class Overdispersed(Counts):
         return NegativeBinomial(4.0, logits=state - np.log(4.0)).to_event(1)
 
 
-wider = infer_states(Overdispersed(), rows, seed=0, **SIZES)
+wider = infer_states(Overdispersed(), rows, seed=0)
 table = az.compare({"Poisson": posterior, "negative binomial": wider}, ic="loo", var_name="y")
 print(table.round(2).to_string())
 print(f"{table.index[0]} predicts better: the rows are Poisson counts.")
@@ -152,7 +151,7 @@ torch.manual_seed(2)
 jumped = states.clone()
 jumped[30:] += 3
 counts = torch.poisson(jumped.exp())
-found = infer_states(model, counts, seed=0, **SIZES)
+found = infer_states(model, counts, seed=0)
 low, high = found.posterior["state"].quantile([0.05, 0.95], ("chain", "draw")).values
 covered = np.mean((low <= jumped.numpy()) & (jumped.numpy() <= high))
 print(f"90 % bands hold {covered:.2f} of the states; log evidence {found.attrs['log_evidence']:.1f}.")

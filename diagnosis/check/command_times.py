@@ -26,7 +26,7 @@ from invdyn.diagnosis.check.torque_regression import Motion
 from invdyn.diagnosis.rules import FIXED, Rules
 
 NUMBERS = {"delay": 1, "drift": 2, "rare": 0}
-"""That are fitted."""
+"""How many numbers a remedy of each kind fits."""
 
 
 def late_commands(
@@ -85,6 +85,8 @@ def late_commands(
         numbers = NUMBERS[mistake.kind]
         group, logged = mistake.joints, np.where(np.isnan(given), np.nan, commands)
         motions = [(each.recommanded(logged), each.recommanded(given)) for each in every]  # in the same rows
+        if not (motions := [pair for pair in motions if len(pair[1].q)]):  # a window may be longer than what is left
+            continue
         righted, wrong, right = min(
             ((fit.explain(new), old, new) for old, new in motions),
             key=lambda each: each[0].missed_elsewhere(group, numbers),

@@ -25,8 +25,7 @@ AXES = ("x", "y", "z")
 SUFFIXES = (*AXES, "likelihood", "torque", "angle")
 TIME, FRAME = CLOCKS = ("time", "frame")  # columns of time, one of them in a file
 OF_LOGS = ("position", "velocity", "effort", "target")  # endings of a robot's own columns
-LIKELIHOOD = "likelihood"
-OF_TRACKERS = ("conf", "confidence", "vis", "visibility", "score", "prob", "probability")  # their words for it
+OF_TRACKERS = ("conf", "confidence", "vis", "visibility", "score", "prob", "probability")  # their words for likelihood
 
 
 def read_keypoint_csv(
@@ -127,7 +126,7 @@ def _in_our_words(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for column, values in columns.items():
         stem, _, end = column.rpartition("_")
-        name = f"{stem}_{LIKELIHOOD}" if stem and end.casefold() in OF_TRACKERS else column
+        name = f"{stem}_likelihood" if stem and end.casefold() in OF_TRACKERS else column
         if name in found:
             raise InputError(f"expected one likelihood of {stem!r}, got two columns: leave out {column!r}")
         found[name] = values

@@ -68,9 +68,10 @@ def of_a_pendulum(seed, drift=0.0, ripple=0.0):
     return Recording(time, np.empty((len(time), 0, 2)), (), **own), body
 
 
-@pytest.mark.parametrize("seed", [22, 36])  # slow motions of few independent values, which a late command may fit
-def test_a_ripple_is_no_clock(seed):
-    found = check(*of_a_pendulum(seed, ripple=0.9), effects=False)
+@pytest.mark.parametrize(("seed", "ripple"), [(22, 0.9), (36, 0.9), (16, 0.5), (54, 0.9)])
+def test_a_ripple_is_no_clock(seed, ripple):
+    """Slow motions of few independent values, which a late command may fit, and in the last a window without a row."""
+    found = check(*of_a_pendulum(seed, ripple=ripple), effects=False)
     assert not {each.kind for each in found.mistakes} & {"drift", "delay"}
 
 

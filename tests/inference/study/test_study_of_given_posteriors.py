@@ -207,6 +207,7 @@ def test_any_name_of_an_event_is_saved_within_the_folder(event, tmp_path):
     assert {file.parent.parent for file in files} <= {tmp_path / "deep", tmp_path / "deep" / "out"}
     view = view_of(tmp_path / "deep" / "out")
     assert [len(panel["trials"]) for panel in view.panels] == [4, 4]
+    assert view.foot == ""  # no other event to align at
 
 
 def test_no_trial_is_written_over_another(tmp_path):

@@ -98,6 +98,7 @@ def test_joints_bear_what_sensors_in_them_measure():
         own = state[1] - 0.05 * state[7] - 0.005 * data.qacc[2]
         assert found[2, 4] == pytest.approx(own, abs=1e-5)
         assert found[0, 2] == pytest.approx(0, abs=1e-4)
+        assert found[0, 6:] == pytest.approx(data.body("trunk").xpos)  # the anchor of MuJoCo's own stays on the rail
     assert contacts[0] > 0 == contacts[1]
     again = joint_reactions(model, states[None, [1, 0]].numpy())[1]
     np.testing.assert_array_equal(again[:, ::-1], wrench[:, :2])  # whatever came before
